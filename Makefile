@@ -1,0 +1,57 @@
+# Every target sets up what it needs; `make help` lists them.
+SHELL   := /bin/bash
+SCALE   ?= quick
+STUDY   ?=
+VENV    := .venv
+BIN     := $(VENV)/bin
+READY   := $(VENV)/.ready
+# The first interpreter that is new enough, unless the caller names one: make PYTHON=/usr/bin/python3.12
+PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
+	$$p -c 'import sys; raise SystemExit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
+
+.PHONY: help setup reproduce-figures report test lint bench notebooks lock clean
+
+help:
+	@echo "make reproduce-figures [SCALE=quick|paper] [STUDY=nurminen2018]   tables, figures, page and verdicts"
+	@echo "make report       draw the figures and the page again from the committed tables"
+	@echo "make test         the whole test suite"
+	@echo "make lint         ruff and mypy"
+	@echo "make bench        speed and memory, written to results/bench"
+	@echo "make notebooks    execute results/notebooks in place"
+	@echo "make lock         resolve requirements.lock again (needs uv)"
+	@echo "make clean        remove the environment and the raw replications"
+
+setup: $(READY)
+
+$(READY): requirements.lock pyproject.toml
+	@if [ -z "$(PYTHON)" ]; then echo "aoabench needs Python 3.11 or newer: make PYTHON=/path/to/python3.11" >&2; exit 2; fi
+	@echo "setting up $(VENV) with $(PYTHON) (once, a minute or two) ..."
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+reproduce-figures: $(READY)
+	@$(BIN)/aoabench reproduce $(STUDY) --scale $(SCALE)
+
+report: $(READY)
+	@$(BIN)/aoabench report
+
+test: $(READY)
+	@$(BIN)/python -m pytest
+
+lint: $(READY)
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
+
+bench: $(READY)
+	@$(BIN)/python -m aoabench.bench
+
+notebooks: $(READY)
+	@for f in results/notebooks/*.ipynb; do $(BIN)/jupyter execute --inplace "$$f" || exit 1; done
+
+lock:
+	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
+		--no-emit-index-url --no-emit-find-links --no-header --no-annotate -o requirements.lock
+
+clean:
+	rm -rf $(VENV) results/raw .pytest_cache .mypy_cache .ruff_cache

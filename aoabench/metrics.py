@@ -1,0 +1,63 @@
+"""What is recorded of one replication: errors over its accepted fixes, outcomes, consistency."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aoabench.geometry import Array
+from aoabench.types import Estimates, Outcome
+
+
+def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
+    """One value (R,) per column of the replications table, from estimates and true positions (R, T, 3) m.
+
+    Accepted are the fixes that give a position: ok, oscillated and diverged. `nees` is the mean of e^T P^-1 e (3 dof).
+    """
+    outcome = estimates.outcome
+    error = estimates.position - truth
+    accepted = (outcome != Outcome.FAILED) & (outcome != Outcome.REJECTED)
+    columns: dict[str, np.ndarray] = {
+        "rmse_3d_m": root_mean_square(np.sqrt((error**2).sum(-1)), accepted),
+        "rmse_xy_m": root_mean_square(np.hypot(error[..., 0], error[..., 1]), accepted),
+        "rmse_z_m": root_mean_square(error[..., 2], accepted),
+        "outcome": np.array([Outcome(int(o)).name.lower() for o in outcome.max(axis=1)], dtype=object),
+        "n_fixes": np.full(len(outcome), outcome.shape[1]),
+    }
+    for name in ("ok", "diverged", "oscillated", "failed", "rejected"):
+        columns[f"n_{name}"] = (outcome == Outcome[name.upper()]).sum(axis=1)
+    nothing = np.full(len(outcome), np.nan)
+    columns["iterations"] = nothing if estimates.iterations is None else _mean(estimates.iterations, accepted)
+    columns["nees"] = nothing if estimates.covariance is None else _mean(nees(error, estimates.covariance), accepted)
+    return columns
+
+
+def per_step(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
+    """Estimated positions, errors and outcomes, each (R, T)."""
+    error = estimates.position - truth
+    return {
+        **{f"{axis}_m": estimates.position[..., i] for i, axis in enumerate("xyz")},
+        "error_3d_m": np.sqrt((error**2).sum(-1)),
+        "error_xy_m": np.hypot(error[..., 0], error[..., 1]),
+        "error_z_m": error[..., 2],
+        "outcome": np.array([o.name.lower() for o in Outcome], dtype=object)[estimates.outcome],
+    }
+
+
+def root_mean_square(error: Array, accepted: np.ndarray) -> Array:
+    """Root mean square (R,) of errors (R, T) over the accepted fixes; NaN without any, or where the error is NaN."""
+    return np.sqrt(_mean(error**2, accepted))
+
+
+def nees(error: Array, covariance: Array) -> Array:
+    """Normalised estimation error squared e^T P^-1 e (R, T) of errors (R, T, 3) m with covariances (R, T, 3, 3) m^2."""
+    usable = np.isfinite(error).all(-1) & np.isfinite(covariance).all((-1, -2)) & (np.linalg.det(covariance) > 0)
+    P = np.where(usable[..., None, None], covariance, np.eye(3))
+    e = np.where(usable[..., None], error, 0.0)
+    value = (e[..., None, :] @ np.linalg.solve(P, e[..., None]))[..., 0, 0]
+    return np.where(usable, value, np.nan)
+
+
+def _mean(value: Array, accepted: np.ndarray) -> Array:
+    count = accepted.sum(axis=1)
+    total = np.where(accepted, value, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

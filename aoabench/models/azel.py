@@ -1,0 +1,146 @@
+"""Azimuth-elevation (AE) measurement models: nominal, fitted and adaptive deviations [Nurminen 2018, (4), IV-A].
+
+Components in anchor order: azimuth and elevation of anchor 1, of anchor 2, ... in rad.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from aoabench.directional import flipped_azimuth_std, flipped_elevation_moments
+from aoabench.geometry import Array, in_frames, rotations_for, to_azel, wrap
+from aoabench.models.components import flat, into_state, per_step
+from aoabench.types import Anchors, BadValue, Batch, check_choice, check_number
+
+_RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative on the pole axis, where it is undefined
+
+
+@dataclass(frozen=True)
+class AzEl:
+    """AE model with constant deviations: `sigma_deg` (0, 180], or null for what each measurement states itself."""
+
+    sigma_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
+
+    def sigmas(self) -> tuple[float, float] | None:
+        """Deviations (azimuth, elevation) in rad, or None for the measurements' own."""
+        return None if self.sigma_deg is None else (math.radians(self.sigma_deg),) * 2
+
+    def observe(self, batch: Batch) -> tuple[Array, Array]:
+        """Azimuths and elevations (R, T, 2B) rad with their nominal variances (R, T, 2B) rad^2."""
+        y = np.stack([batch.azimuth, batch.elevation], axis=-1)
+        own = self.sigmas()
+        if own is not None:
+            r = np.broadcast_to(np.square(own), y.shape)
+        elif batch.azimuth_sigma is None or batch.elevation_sigma is None:
+            raise BadValue("sigma_deg", None, "a number, because these measurements do not state their deviations")
+        else:
+            r = np.stack([batch.azimuth_sigma, batch.elevation_sigma], axis=-1) ** 2
+        return flat(y), flat(r)
+
+    def predict(self, x: Array, anchors: Anchors) -> Array:
+        """Azimuths and elevations (R, ..., 2B) rad of positions x (R, ..., n)."""
+        return flat(np.stack(to_azel(in_frames(x[..., :3], anchors.position, anchors.rotation)), axis=-1))
+
+    def residual(self, y: Array, expected: Array) -> Array:
+        """y - expected (..., 2B) rad, the azimuths wrapped into (-pi, pi]."""
+        d = y - expected
+        d[..., 0::2] = wrap(d[..., 0::2])
+        return d
+
+    def jacobian(self, x: Array, anchors: Anchors) -> Array:
+        """Derivatives (R, ..., 2B, n) rad/m, with rho^2 kept above 1e-12 m^2 at the poles."""
+        p = in_frames(x[..., :3], anchors.position, anchors.rotation)
+        rho2 = np.maximum(p[..., 0] ** 2 + p[..., 1] ** 2, _RHO2_FLOOR)
+        rho, r2 = np.sqrt(rho2), rho2 + p[..., 2] ** 2
+        zeros = np.zeros_like(rho)
+        along = p[..., 2] / (rho * r2)
+        d_azimuth = np.stack([-p[..., 1] / rho2, p[..., 0] / rho2, zeros], axis=-1)
+        d_elevation = np.stack([-p[..., 0] * along, -p[..., 1] * along, rho / r2], axis=-1)
+        local = np.stack([d_azimuth, d_elevation], axis=-2)  # (R, ..., B, 2, 3)
+        return into_state(local @ rotations_for(x, anchors.rotation), x.shape[-1])
+
+    def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
+        """The nominal variances (R, ..., 2B) rad^2, whatever x."""
+        return per_step(quality, x)
+
+    def loglik(self, x: Array, anchors: Anchors, y: Array, quality: Array) -> Array:
+        """Log likelihood (R, ...): independent normals of the wrapped residuals; NaN components are left out."""
+        d = self.residual(per_step(y, x), self.predict(x, anchors))
+        r = self.covariance(x, anchors, quality)
+        return np.nansum(-0.5 * (d**2 / r + np.log(2 * np.pi * r)), axis=-1)
+
+
+@dataclass(frozen=True)
+class AzElFitted(AzEl):
+    """AE model with the deviations fitted to the data's noise over uniform directions.
+
+    `fit: own` computes them; `fit: printed` takes the paper's pair where it prints one (sigma = 10 deg: 18 and 10 deg
+    with Model I, 21 and 10 deg with Model II; erratum E12) and computes them elsewhere.
+    """
+
+    fit: str = "printed"
+    noise: Any = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice("fit", self.fit, ("printed", "own"))
+        if not hasattr(self.noise, "fitted"):
+            raise BadValue("noise", type(self.noise).__name__, "an angular noise: ae_flip, ae_normal or vmf")
+
+    def sigmas(self) -> tuple[float, float]:
+        """Deviations (azimuth, elevation) in rad."""
+        if self.sigma_deg is not None:
+            return math.radians(self.sigma_deg), math.radians(self.sigma_deg)
+        printed = {"FlippedAngles": (18.0, 10.0), "VonMisesFisher": (21.0, 10.0)}.get(type(self.noise).__name__)
+        if self.fit == "printed" and printed and math.isclose(self.noise.sigma, math.radians(10)):
+            return math.radians(printed[0]), math.radians(printed[1])
+        return self.noise.fitted()
+
+
+@lru_cache(maxsize=32)
+def adaptive_table(sigma: float) -> tuple[Array, Array]:
+    """Deviations (azimuth, elevation), each (181,) rad, of Model I at -90, -89 ... 90 degrees [Nurminen 2018, Fig. 1].
+
+    `sigma` is the nominal deviation in rad; both are root mean squares about the truth.
+    """
+    grid = np.deg2rad(np.arange(-90.0, 91.0))
+    return flipped_azimuth_std(grid, sigma), flipped_elevation_moments(grid, sigma)[1]
+
+
+@dataclass(frozen=True)
+class AzElAdaptive(AzEl):
+    """AE model whose deviations follow the elevation: Model I's, looked up in a table of one-degree steps."""
+
+    noise: Any = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sigma_deg is None and not hasattr(self.noise, "sigma"):
+            raise BadValue("noise", type(self.noise).__name__, "an angular noise: ae_flip, ae_normal or vmf")
+
+    def nominal(self) -> float:
+        """The deviation in rad that the table is made for."""
+        return float(self.noise.sigma) if self.sigma_deg is None else math.radians(self.sigma_deg)
+
+    def sigmas(self) -> tuple[float, float]:
+        """Nominal deviations (azimuth, elevation) in rad; `covariance` replaces them."""
+        return self.nominal(), self.nominal()
+
+    def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
+        """Variances (R, ..., 2B) rad^2 at the elevations of x (R, ..., n)."""
+        return self.variances_at(self.predict(x, anchors)[..., 1::2])
+
+    def variances_at(self, elevation: Array) -> Array:
+        """Variances (..., 2B) rad^2 at elevations (..., B) rad, by the nearest degree."""
+        azimuth, up = adaptive_table(self.nominal())
+        index = np.rint(np.rad2deg(elevation) + 90.0)
+        index = np.where(np.isfinite(index), np.clip(index, 0, 180), 90).astype(np.intp)
+        return flat(np.stack([azimuth[index], up[index]], axis=-1) ** 2)

@@ -1,0 +1,121 @@
+"""One block of replications: truth and measurements, every estimator, metrics, rows.
+
+Estimators see tiles of a fixed number of replications, aligned on the replication number, whatever block they are in:
+the same replication gives the same bits however the work is cut.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from aoabench import metrics
+from aoabench.streams import ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, Streams, generator
+from aoabench.types import Anchors, Batch, Estimates, Measurements
+
+Rows = dict[str, np.ndarray]
+
+
+def tile_of(estimator: Any) -> int:
+    """How many replications this estimator takes at once."""
+    return int(getattr(estimator, "tile", 128))
+
+
+def simulate(scenario: Any, noise: Any, seed: int, replication: int) -> tuple[np.ndarray, Measurements, Any]:
+    """Truth (T, n), measurements and prior (mean, covariance) of one replication."""
+    truth = scenario.truth(generator(seed, scenario.name, replication, TRUTH))
+    measured = noise.sample(generator(seed, scenario.name, replication, MEASUREMENT), scenario, truth)
+    prior = scenario.prior(generator(seed, scenario.name, replication, ESTIMATOR, PRIOR), truth)
+    return truth, measured, prior
+
+
+class Draws:
+    """Simulated replications of one cell, each drawn once however many estimators ask for it."""
+
+    def __init__(self, scenario: Any, noise: Any, seed: int) -> None:
+        self.scenario, self.noise, self.seed = scenario, noise, seed
+        self._cache: dict[int, tuple[np.ndarray, Measurements, Any]] = {}
+
+    def tile(self, start: int, size: int) -> tuple[np.ndarray, Batch]:
+        """Truth (size, T, n) and batch of the replications from `start` on."""
+        numbers = range(start, start + size)
+        for r in numbers:
+            if r not in self._cache:
+                self._cache[r] = simulate(self.scenario, self.noise, self.seed, r)
+        drawn = [self._cache[r] for r in numbers]
+        measured = {
+            f.name: None if getattr(drawn[0][1], f.name) is None else np.stack([getattr(d[1], f.name) for d in drawn])
+            for f in fields(Measurements)
+        }
+        prior = drawn[0][2]
+        known: Anchors = self.scenario.known_anchors
+        batch = Batch(
+            anchors=known,
+            prior_mean=None if prior is None else np.stack([d[2][0] for d in drawn]),
+            prior_cov=None if prior is None else prior[1],
+            **measured,  # type: ignore[arg-type]
+        )
+        return np.stack([d[0] for d in drawn]), batch
+
+
+def run_block(
+    scenario: Any, noise: Any, estimators: Mapping[str, Any], seed: int, start: int, stop: int, steps: bool = False
+) -> dict[str, tuple[Rows, Rows | None]]:
+    """Rows of replications start..stop-1 for each estimator: per replication, and per step if asked for."""
+    with threadpool_limits(1):
+        draws = Draws(scenario, noise, seed)
+        return {name: _run_one(draws, estimator, start, stop, steps) for name, estimator in estimators.items()}
+
+
+def _run_one(draws: Draws, estimator: Any, start: int, stop: int, steps: bool) -> tuple[Rows, Rows | None]:
+    size = tile_of(estimator)
+    blocks: list[tuple[Rows, Rows | None]] = []
+    for first in range(start - start % size, stop, size):
+        truth, estimates = estimate_tile(draws, estimator, first)
+        keep = slice(max(start - first, 0), min(stop - first, size))
+        position = truth[..., :3]
+        rows = {k: v[keep] for k, v in metrics.per_replication(estimates, position).items()}
+        rows = {"replication": np.arange(first, first + size)[keep], **rows}
+        detail = None
+        if steps:
+            detail = {k: v[keep].ravel() for k, v in metrics.per_step(estimates, position).items()}
+            T = position.shape[1]
+            index = {"replication": np.repeat(rows["replication"], T), "step": np.tile(np.arange(T), len(rows["replication"]))}
+            detail = {**index, **detail}
+        blocks.append((rows, detail))
+    return _join([b[0] for b in blocks]), _join([b[1] for b in blocks if b[1] is not None]) if steps else None
+
+
+def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates]:
+    """Truth (R, T, n) and estimates of the tile that starts at replication `first`."""
+    size = tile_of(estimator)
+    truth, batch = draws.tile(first, size)
+    streams = Streams(draws.seed, draws.scenario.name, tuple(range(first, first + size)))
+    return truth, estimator(batch, draws.scenario, streams)
+
+
+def time_estimators(
+    scenario: Any, noise: Any, estimators: Mapping[str, Any], seed: int, repeats: int = 3
+) -> dict[str, tuple[float, int, int]]:
+    """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS at one thread."""
+    result = {}
+    with threadpool_limits(1):
+        draws = Draws(scenario, noise, seed)
+        for name, estimator in estimators.items():
+            truth, _ = estimate_tile(draws, estimator, 0)  # draws, caches and compiled code are ready after this
+            seconds = []
+            for _ in range(repeats):
+                begin = time.perf_counter()
+                estimate_tile(draws, estimator, 0)
+                seconds.append(time.perf_counter() - begin)
+            result[name] = (float(np.median(seconds)), truth.shape[0], truth.shape[1])
+    return result
+
+
+def _join(blocks: list[Rows]) -> Rows:
+    return {k: np.concatenate([b[k] for b in blocks]) for k in blocks[0]}

@@ -1,0 +1,131 @@
+"""Angular noise: normal azimuth and elevation, the same flipped over the poles (Model I), von Mises-Fisher (Model II).
+
+Each knows its own calibration for the AE filters: `sigma` (nominal) and `fitted()` (over uniform directions).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from aoabench.directional import (
+    flip,
+    flipped_azimuth_std,
+    flipped_elevation_moments,
+    sigma_from_kappa,
+    vmf_sample,
+)
+from aoabench.geometry import Array, in_frames, to_azel, to_unit, wrap
+from aoabench.types import BadValue, Measurements, check_number
+
+
+@dataclass(frozen=True)
+class _Angular:
+    """sigma_deg (0, 180] or kappa > 0, either derived from the other by kappa = 1 / sigma^2 [Nurminen 2018, (7)]."""
+
+    sigma_deg: float | None = None
+    kappa: float | None = None
+
+    def __post_init__(self) -> None:
+        check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
+        check_number("kappa", self.kappa, above=0, optional=True)
+        if (self.sigma_deg is None) == (self.kappa is None):
+            given = "neither" if self.kappa is None else f"both sigma_deg={self.sigma_deg:g} and kappa={self.kappa:g}"
+            raise BadValue("sigma_deg|kappa", given, "exactly one of the two, the other one null")
+
+    @property
+    def sigma(self) -> float:
+        """Nominal standard deviation in rad."""
+        return float(sigma_from_kappa(self.kappa)) if self.sigma_deg is None else math.radians(self.sigma_deg)
+
+    @property
+    def concentration(self) -> float:
+        """Nominal concentration kappa = 1 / sigma^2."""
+        return 1.0 / self.sigma**2 if self.kappa is None else float(self.kappa)
+
+    def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+        """Noisy azimuth and elevation (...) rad of true ones (...) rad."""
+        raise NotImplementedError
+
+    def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
+        """Measurements (T, B) of true states (T, n), seen from the scenario's anchors."""
+        anchors = scenario.known_anchors
+        azimuth, elevation = to_azel(in_frames(truth[None, :, :3], anchors.position, anchors.rotation)[0])
+        azimuth, elevation = self.perturb(rng, azimuth, elevation)
+        quality = np.full(azimuth.shape, self.sigma)
+        return Measurements(azimuth, elevation, azimuth_sigma=quality, elevation_sigma=quality)
+
+    def fitted(self) -> tuple[float, float]:
+        """Root mean square residuals (azimuth, elevation) in rad over uniformly distributed directions.
+
+        They are the maximum-likelihood deviations of the AE model [Nurminen 2018, IV-A], here by quadrature.
+        """
+        return _fitted(self)
+
+    def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
+        """Root mean square residuals (azimuth, elevation), each (N,) rad, at true elevations (N,) rad."""
+        raise NotImplementedError
+
+
+@lru_cache(maxsize=64)
+def _fitted(noise: _Angular) -> tuple[float, float]:
+    sine, weight = np.polynomial.legendre.leggauss(400)  # uniform directions: the sine of the elevation is uniform
+    azimuth, elevation = noise.residual_rms(np.arcsin(sine))
+    return float(np.sqrt(0.5 * weight @ azimuth**2)), float(np.sqrt(0.5 * weight @ elevation**2))
+
+
+@dataclass(frozen=True)
+class NormalAngles(_Angular):
+    """Independent normals on azimuth (wrapped) and elevation (not flipped) [Nurminen 2018, (4)]."""
+
+    def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+        e = self.sigma * rng.standard_normal((2, *azimuth.shape))
+        return wrap(azimuth + e[0]), elevation + e[1]
+
+    def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
+        straight = flipped_azimuth_std(np.zeros_like(elevation), self.sigma, 1e-9)
+        return straight, np.full(elevation.shape, self.sigma)
+
+
+@dataclass(frozen=True)
+class FlippedAngles(_Angular):
+    """Model I: normals on azimuth and elevation, flipped so that each direction has one representation."""
+
+    def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+        e = self.sigma * rng.standard_normal((2, *azimuth.shape))
+        return flip(azimuth + e[0], elevation + e[1])
+
+    def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
+        return flipped_azimuth_std(elevation, self.sigma), flipped_elevation_moments(elevation, self.sigma)[1]
+
+
+@dataclass(frozen=True)
+class VonMisesFisher(_Angular):
+    """Model II: the measured direction is von Mises-Fisher around the true one [Nurminen 2018, (5)]."""
+
+    def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+        return to_azel(vmf_sample(rng, to_unit(azimuth, elevation), self.concentration))
+
+    def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
+        return _vmf_residual_rms(self.concentration, tuple(np.asarray(elevation).tolist()))
+
+
+def _vmf_residual_rms(kappa: float, elevation: tuple[float, ...]) -> tuple[Array, Array]:
+    """By quadrature over the angle from the mean (its distribution function) and the turn around it."""
+    v, wv = np.polynomial.legendre.leggauss(200)
+    v, wv = 0.5 * (v + 1.0), 0.5 * wv
+    one_minus_cos = np.clip(-np.log1p(v * np.expm1(-2.0 * kappa)) / kappa, 0.0, 2.0)[:, None]
+    sine = np.sqrt(one_minus_cos * (2.0 - one_minus_cos))
+    turn = (np.arange(400) + 0.5) * 2 * np.pi / 400
+    rms = np.empty((2, len(elevation)))
+    for i, b in enumerate(elevation):
+        # frame: mean (cos b, 0, sin b), tangents north (-sin b, 0, cos b) and east (0, 1, 0)
+        north, east, ahead = sine * np.cos(turn), sine * np.sin(turn), 1.0 - one_minus_cos
+        u = np.stack([ahead * np.cos(b) - north * np.sin(b), east, ahead * np.sin(b) + north * np.cos(b)], axis=-1)
+        azimuth, up = to_azel(u)
+        rms[:, i] = [np.sqrt(wv @ np.mean(f**2, axis=1)) for f in (azimuth, up - b)]
+    return rms[0], rms[1]

@@ -1,0 +1,45 @@
+"""Random streams, one for each (root seed, scenario name, replication, role).
+
+No stream knows the estimator, the worker or the task, so every estimator and every job of a sweep sees the same draws
+(paired comparisons), replications can be added later, and one replication can be repeated by its number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+TRUTH, MEASUREMENT, ANCHORS, ESTIMATOR = range(4)  # roles
+PRIOR, PARTICLES = range(2)  # purposes within the role ESTIMATOR
+
+
+@lru_cache(maxsize=256)
+def _words(name: str) -> tuple[int, ...]:
+    digest = hashlib.blake2b(name.encode(), digest_size=16).digest()
+    return tuple(int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
+
+
+def generator(seed: int, scenario: str, replication: int, role: int, purpose: int = 0) -> np.random.Generator:
+    """The generator of one role in one replication.
+
+    `seed >= 0` is the root seed, `scenario` the scenario's name, `replication >= 0` its number. Equal arguments give
+    equal draws; streams with any differing argument are independent.
+    """
+    sequence = np.random.SeedSequence((seed, *_words(scenario), replication), spawn_key=(role, purpose))
+    return np.random.Generator(np.random.Philox(sequence))
+
+
+@dataclass(frozen=True)
+class Streams:
+    """The estimators' own randomness for a tile of replications, numbered `replications`."""
+
+    seed: int
+    scenario: str
+    replications: tuple[int, ...]
+
+    def estimator(self, i: int, purpose: int = PARTICLES) -> np.random.Generator:
+        """The generator for the tile's i-th replication; every estimator gets the same one."""
+        return generator(self.seed, self.scenario, self.replications[i], ESTIMATOR, purpose)

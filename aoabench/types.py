@@ -1,0 +1,215 @@
+"""The types that everything shares: anchors, batches, estimates, the protocols, and checks of parameters.
+
+Axes: R replications, T steps (or points), B anchors, n state dimensions, m = B x d measurement components.
+SI units and radians unless a name says otherwise. NaN means "not measured".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Protocol
+
+import numpy as np
+
+from aoabench.geometry import Array
+from aoabench.streams import Streams
+
+
+class Outcome(IntEnum):
+    """What became of one fix; a replication's outcome is the worst (largest) of its fixes."""
+
+    OK = 0
+    REJECTED = 1  # the method declined to give a position
+    OSCILLATED = 2  # an iteration ran into its limit; a position is given
+    DIVERGED = 3  # an iteration or a filter left every bound; a position is given
+    FAILED = 4  # no position: NaN
+
+
+class UserError(Exception):
+    """A mistake that only the user can mend: one clear line, exit status 2."""
+
+
+class BadValue(UserError, ValueError):
+    """A parameter out of range: `key`, the `value` given and what is `allowed`."""
+
+    def __init__(self, key: str, value: object, allowed: str) -> None:
+        self.key, self.value, self.allowed = key, value, allowed
+        super().__init__(f"{key}={value!r} is not allowed: {allowed}")
+
+
+def check_number(
+    key: str,
+    value: object,
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    most: float = math.inf,
+    integer: bool = False,
+    optional: bool = False,
+) -> None:
+    """Raise BadValue unless `value` is a finite number in (above, most] and [least, most] (or None if optional)."""
+    kind = "an integer" if integer else "a number"
+    bounds = [f"> {above:g}"] if above > -math.inf else [f">= {least:g}"] if least > -math.inf else []
+    bounds += [f"<= {most:g}"] if most < math.inf else []
+    allowed = " ".join([kind, " and ".join(bounds)]).strip() + (", or null" if optional else "")
+    if value is None and optional:
+        return
+    good = isinstance(value, (int, np.integer) if integer else (int, float, np.integer, np.floating))
+    if not good or isinstance(value, bool) or not math.isfinite(value):  # type: ignore[arg-type]
+        raise BadValue(key, value, allowed)
+    if not (above < value and least <= value <= most):  # type: ignore[operator]
+        raise BadValue(key, value, allowed)
+
+
+def check_choice(key: str, value: object, choices: Sequence[str]) -> None:
+    """Raise BadValue unless `value` is one of `choices`."""
+    if value not in choices:
+        raise BadValue(key, value, "one of " + ", ".join(choices))
+
+
+def check_array(key: str, value: object, shape: tuple[int | None, ...]) -> Array:
+    """`value` as a finite float array of `shape` (None: any length >= 1); raise BadValue otherwise."""
+    wanted = " x ".join("N" if s is None else str(s) for s in shape) + " finite numbers"
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise BadValue(key, value, wanted) from None
+    fits = array.ndim == len(shape) and all(a == s if s else a > 0 for a, s in zip(array.shape, shape))
+    if not fits or not np.all(np.isfinite(array)):
+        raise BadValue(key, value, wanted)
+    return array
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Anchors as an estimator knows them: position (R|1, B, 3) m, rotation (R|1, B, 3, 3) global -> anchor frame."""
+
+    position: Array
+    rotation: Array
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What a noise model makes of one replication; every array (T, B) or None, NaN = not measured.
+
+    azimuth in (-pi, pi] and elevation rad in the anchor's frame, delay s, rssi dBm; the sigmas are the qualities that
+    the device itself would state (rad, s).
+    """
+
+    azimuth: Array
+    elevation: Array
+    delay: Array | None = None
+    rssi: Array | None = None
+    azimuth_sigma: Array | None = None
+    elevation_sigma: Array | None = None
+    delay_sigma: Array | None = None
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What an estimator gets: the measurements of a tile of replications, each array (R, T, B) or None.
+
+    prior_mean (R, n) and prior_cov (n, n) describe the state before the first step (None for snapshot scenarios);
+    truth is not in here.
+    """
+
+    azimuth: Array
+    elevation: Array
+    anchors: Anchors
+    delay: Array | None = None
+    rssi: Array | None = None
+    azimuth_sigma: Array | None = None
+    elevation_sigma: Array | None = None
+    delay_sigma: Array | None = None
+    prior_mean: Array | None = None
+    prior_cov: Array | None = None
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """position (R, T, 3) m, covariance (R, T, 3, 3) m^2 | None, iterations (R, T) | None, outcome (R, T) of Outcome."""
+
+    position: Array
+    covariance: Array | None
+    iterations: Array | None
+    outcome: np.ndarray
+
+
+class Motion(Protocol):
+    """A linear motion model x_k = F x_{k-1} + w, w ~ N(0, Q)."""
+
+    def matrices(self, dt: float) -> tuple[Array, Array]:
+        """F (n, n) and Q (n, n) for a step of dt s."""
+        ...
+
+
+class Scenario(Protocol):
+    """Where things are and how the target moves. `name` keys the random streams; state[:3] is the position in m."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def dt(self) -> float: ...
+    @property
+    def motion(self) -> Motion | None: ...
+    @property
+    def known_anchors(self) -> Anchors: ...
+
+    def truth(self, rng: np.random.Generator) -> Array:
+        """The true states (T, n) of one replication."""
+        ...
+
+    def prior(self, rng: np.random.Generator, truth: Array) -> tuple[Array, Array] | None:
+        """Mean (n,) and covariance (n, n) that filters start from; None for snapshot scenarios."""
+        ...
+
+
+class Noise(Protocol):
+    """How true geometry becomes measurements."""
+
+    def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
+        """Measurements of one replication from its true states (T, n)."""
+        ...
+
+
+class Measurement(Protocol):
+    """What a filter believes of the measurements; written for one point, broadcasting over leading axes.
+
+    x (R, ..., n); m = B d components in anchor order. `quality` (R, m) are the nominal variances of one step.
+    """
+
+    def observe(self, batch: Batch) -> tuple[Array, Array]:
+        """Measured values (R, T, m), NaN = not measured, and their nominal variances (R, T, m)."""
+        ...
+
+    def predict(self, x: Array, anchors: Anchors) -> Array:
+        """Expected values (R, ..., m)."""
+        ...
+
+    def residual(self, y: Array, expected: Array) -> Array:
+        """y - expected (..., m); angles wrapped into (-pi, pi]."""
+        ...
+
+    def jacobian(self, x: Array, anchors: Anchors) -> Array:
+        """Derivative (R, ..., m, n) of `predict`."""
+        ...
+
+    def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
+        """Variances (R, ..., m) of the components, which are uncorrelated."""
+        ...
+
+    def loglik(self, x: Array, anchors: Anchors, y: Array, quality: Array) -> Array:
+        """Log likelihood (R, ...) of one step's y (R, m); components that are NaN are left out."""
+        ...
+
+
+class Estimator(Protocol):
+    """The one plug that recursive filters and snapshot estimators share.
+
+    An optional class attribute `tile` says how many replications it wants at once (always exactly that many).
+    """
+
+    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates: ...
