@@ -1,0 +1,47 @@
+"""aoabench: the Monte Carlo simulation-and-benchmark framework for angle-of-arrival (AoA) positioning.
+
+`run` simulates, `load` reads what a run left; everything else is imported from its module.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from aoabench.types import Anchors, Batch, Estimates, Estimator, Measurements, Outcome, UserError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__version__ = "0.1.0"
+__all__ = ["Anchors", "Batch", "Estimates", "Estimator", "Measurements", "Outcome", "UserError", "load", "run"]
+
+
+def run(
+    *overrides: str,
+    estimators: Mapping[str, Estimator] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    config_dir: str | None = None,
+    plugins: Sequence[str] = (),
+    progress: bool = False,
+) -> pd.DataFrame:
+    """Run one cell, or a sweep where overrides hold commas, and return its tidy frame (see `load`).
+
+    Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]", "noise.sigma_deg=2,5", "reps=200")`.
+    `estimators` adds objects of your own by name: callables (batch, scenario, streams) -> Estimates, which see the same
+    draws as the presets. `out` is the folder of the tables (runner.out). Raises UserError for a mistake in the input.
+    """
+    from aoabench import runner
+    from aoabench.config import compose_cells
+
+    given = [*overrides, *([f"runner.out={os.fspath(out)}"] if out is not None else [])]
+    cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
+    return load(runner.run(cells, progress).out)
+
+
+def load(out: str | os.PathLike[str]) -> pd.DataFrame:
+    """One row per cell x estimator x replication of the run in folder `out`, with a column per swept parameter."""
+    from aoabench import store
+
+    return store.load(out)

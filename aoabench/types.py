@@ -37,7 +37,7 @@ class BadValue(UserError, ValueError):
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         self.key, self.value, self.allowed = key, value, allowed
-        super().__init__(f"{key}={value!r} is not allowed: {allowed}")
+        super().__init__(f"{key}={value!r} is not allowed; allowed: {allowed}")
 
 
 def check_number(

@@ -25,22 +25,28 @@ from aoabench.types import BadValue, Measurements, check_number
 
 @dataclass(frozen=True)
 class _Angular:
-    """sigma_deg (0, 180] or kappa > 0, either derived from the other by kappa = 1 / sigma^2 [Nurminen 2018, (7)]."""
+    """sigma_deg (0, 180] or kappa > 0, either derived from the other by kappa = 1 / sigma^2 [Nurminen 2018, (7)].
+
+    Where neither is given, sigma is `default_sigma_deg`; both at once raise BadValue.
+    """
 
     sigma_deg: float | None = None
     kappa: float | None = None
+    default_sigma_deg: float = 10.0
 
     def __post_init__(self) -> None:
         check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
         check_number("kappa", self.kappa, above=0, optional=True)
-        if (self.sigma_deg is None) == (self.kappa is None):
-            given = "neither" if self.kappa is None else f"both sigma_deg={self.sigma_deg:g} and kappa={self.kappa:g}"
-            raise BadValue("sigma_deg|kappa", given, "exactly one of the two, the other one null")
+        check_number("default_sigma_deg", self.default_sigma_deg, above=0, most=180)
+        if self.sigma_deg is not None and self.kappa is not None:
+            raise BadValue("kappa", self.kappa, f"null together with sigma_deg={self.sigma_deg:g}, or sigma_deg=null")
 
     @property
     def sigma(self) -> float:
         """Nominal standard deviation in rad."""
-        return float(sigma_from_kappa(self.kappa)) if self.sigma_deg is None else math.radians(self.sigma_deg)
+        if self.kappa is not None:
+            return float(sigma_from_kappa(self.kappa))
+        return math.radians(self.default_sigma_deg if self.sigma_deg is None else self.sigma_deg)
 
     @property
     def concentration(self) -> float:

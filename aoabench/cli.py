@@ -1,0 +1,260 @@
+"""The command line. The only module that knows Hydra's decorator and the terminal.
+
+Exit status: 0 done, 2 the user's mistake (one line), 1 anything else, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from aoabench.types import UserError
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Entry point of `aoabench`."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        sys.exit(dispatch(arguments))
+    except UserError as error:
+        print(f"aoabench: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("aoabench: interrupted; what was finished is kept, the same command goes on from there", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{self.prog.partition(' ')[2] or 'command'}: {message}; see `{self.prog} --help`")
+
+
+def dispatch(arguments: Sequence[str]) -> int:
+    """Run one subcommand; returns the exit status."""
+    commands: dict[str, Callable[[Sequence[str]], int]] = {
+        "run": run,
+        "reproduce": reproduce,
+        "report": report,
+        "compare": compare,
+        "replay": replay,
+        "list": list_presets,
+    }
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_HELP)
+        return 0
+    if arguments[0] == "--version":
+        from aoabench import __version__
+
+        print(f"aoabench {__version__}")
+        return 0
+    if arguments[0] not in commands:
+        from aoabench.config import did_you_mean
+
+        hint = did_you_mean(arguments[0], commands) or f"; allowed: {', '.join(commands)}"
+        raise UserError(f"unknown command {arguments[0]!r}{hint}")
+    return commands[arguments[0]](arguments[1:])
+
+
+_HELP = """\
+aoabench: Monte Carlo benchmark of angle-of-arrival (AoA) positioning
+
+  aoabench list                        the presets: scenarios, noises, filters, estimators, experiments
+  aoabench run [OVERRIDES]             simulate one cell, e.g. aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
+  aoabench run -m [OVERRIDES]          sweep, e.g. ... -m noise.sigma_deg=2,5,10 (Hydra multirun; run --help says more)
+  aoabench compare RUN                 paired comparison of the estimators of a run
+  aoabench replay RUN --replication N --estimator NAME    repeat one replication with its trace
+  aoabench reproduce [STUDY ...] [--scale quick|paper] [--only ITEM]    tables and figures of the studies
+  aoabench report                      draw figures and page again from the stored tables
+
+RUN is the folder of a run (runner.out). Exit status: 0 done, 2 a mistake in the input, 1 anything else."""
+
+
+# --- run --------------------------------------------------------------------------------------------------------------
+
+
+def run(arguments: Sequence[str]) -> int:
+    """`aoabench run`: Hydra composes every job first; when all are valid, they are computed together."""
+    from aoabench import config, runner
+
+    config_dir = _option_value(arguments, ("--config-dir", "-cd"))
+    for flag in ("--config-path", "-cp", "--config-name", "-cn"):
+        if any(a == flag or a.startswith(flag + "=") for a in arguments):
+            raise UserError(f"{flag} is not allowed; allowed: --config-dir DIR with configs of your own")
+    if any(a.lstrip("+~").startswith("hydra.searchpath") for a in arguments):
+        raise UserError("hydra.searchpath is not allowed; allowed: --config-dir DIR with configs of your own")
+    config.refuse_foreign_hydra(config_dir)
+    overrides = [a for a in arguments if "=" in a and not a.startswith("-")]
+    cells: list[config.Cell] = []
+    with config.explained(overrides, config_dir):
+        _hydra_main(cells, ["aoabench run", *arguments])
+    if cells:
+        done = runner.run(cells)
+        _print_run(done, cells)
+    return 0
+
+
+def _option_value(arguments: Sequence[str], names: Sequence[str]) -> str | None:
+    for i, argument in enumerate(arguments):
+        for name in names:
+            if argument == name and i + 1 < len(arguments):
+                return arguments[i + 1]
+            if argument.startswith(name + "="):
+                return argument.partition("=")[2]
+    return None
+
+
+def _hydra_main(cells: list[Any], argv: list[str]) -> None:
+    """Hand the command line to Hydra; each job that it composes is validated and put into `cells`."""
+    import hydra
+    from hydra.core.hydra_config import HydraConfig
+    from omegaconf import DictConfig
+
+    from aoabench import config, runner
+
+    def job(cfg: DictConfig) -> None:
+        hydra_config = HydraConfig.get()
+        overrides = list(hydra_config.overrides.task)
+        cell = config.build(cfg, dict(hydra_config.runtime.choices), overrides=overrides)
+        if hydra_config.launcher._target_.endswith("BasicLauncher"):
+            cells.append(cell)
+        else:  # another machine or process, which Hydra's launcher chose: compute it there
+            runner.run([cell], progress=False)
+
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions reach us as they are
+    before, sys.argv = sys.argv, argv
+    try:
+        hydra.main(version_base="1.3", config_path=str(config.shipped("configs")), config_name="config")(job)()
+    except SystemExit as stop:
+        if stop.code not in (0, None):
+            raise UserError("run: the flags cannot be read; see `aoabench run --help`") from None
+    finally:
+        sys.argv = before
+
+
+def _print_run(done: Any, cells: Sequence[Any]) -> None:
+    import pandas as pd
+
+    out = done.out
+    rate = f", {done.computed / done.seconds:,.0f}/s" if done.computed else ""
+    print(f"{len(cells)} cells: {done.computed} replications x estimators computed, {done.reused} reused, {done.seconds:.1f} s{rate}")
+    summary = pd.read_parquet(out / "summary.parquet")
+    mine = summary[summary["cell"].isin([c.id for c in cells])]
+    table = pd.read_parquet(out / "cells.parquet")
+    extra = [c for c in table.columns if c not in ("experiment", "scenario", "noise", "seed", "estimators", "config")]
+    mine = mine.merge(table[extra], on="cell")
+    swept = [c for c in extra if c != "cell" and mine[c].nunique(dropna=False) > 1]
+    shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
+    for name, title in (("rmse_pooled_3d_m", "RMSE 3-D [m]"), ("rmse_pooled_xy_m", "RMSE xy [m]")):
+        shown[title] = [f"{v:.4g} ± {s:.1g}" for v, s in zip(mine[name], mine[f"{name}_se"])]
+    shown["failed"] = [f"{v:.1%}" for v in mine["failure_rate"]]
+    print(shown.to_string(index=False, max_rows=60))
+    print(f"tables: {out}/{{replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})")
+
+
+# --- studies ----------------------------------------------------------------------------------------------------------
+
+
+def reproduce(arguments: Sequence[str]) -> int:
+    """`aoabench reproduce`: compute the items of the studies, then draw figures, tables and page."""
+    from aoabench import studies
+
+    parser = _Parser(prog="aoabench reproduce", description="Regenerate the tables and figures of the studies.")
+    parser.add_argument("study", nargs="*", help="all if none is named")
+    parser.add_argument("--scale", default="quick", choices=["quick", "paper"], help="replications: quick or the paper's")
+    parser.add_argument("--only", metavar="ITEM", help="one table or figure, e.g. table1")
+    parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
+    given = parser.parse_args(list(arguments))
+    studies.reproduce(given.study, given.scale, given.only, Path(given.results), echo=print)
+    return 0
+
+
+def report(arguments: Sequence[str]) -> int:
+    """`aoabench report`: figures and page from the stored tables; nothing is simulated."""
+    from aoabench import studies
+
+    parser = _Parser(prog="aoabench report", description="Draw figures and page again from the stored tables.")
+    parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
+    given = parser.parse_args(list(arguments))
+    studies.draw(None, Path(given.results), echo=print)
+    return 0
+
+
+# --- reading a run ----------------------------------------------------------------------------------------------------
+
+
+def compare(arguments: Sequence[str]) -> int:
+    """`aoabench compare`: paired differences between the estimators of each cell."""
+    from aoabench import statistics, store
+    from aoabench.config import did_you_mean
+
+    parser = _Parser(prog="aoabench compare", description="Paired comparison of estimators over the replications.")
+    parser.add_argument("run", help="folder of a run (runner.out)")
+    parser.add_argument("--baseline", help="estimator to compare with (default: the best of each cell)")
+    parser.add_argument("--metric", default="rmse_3d_m", help="column of the replications table (default: rmse_3d_m)")
+    given = parser.parse_args(list(arguments))
+    frame = store.load(given.run)
+    numeric = [c for c in frame.select_dtypes("number").columns if c != "replication"]
+    if given.metric not in numeric:
+        raise UserError(f"--metric={given.metric}: no such column{did_you_mean(given.metric, numeric)} allowed: {', '.join(numeric)}")
+    names = list(frame["estimator"].unique())
+    if given.baseline and given.baseline not in names:
+        raise UserError(f"--baseline={given.baseline}: not in this run{did_you_mean(given.baseline, names)} allowed: {', '.join(names)}")
+    for cell, rows in frame.groupby("cell", sort=False):
+        wide = rows.pivot(index="replication", columns="estimator", values=given.metric)
+        means = wide.mean().sort_values()
+        base = given.baseline if given.baseline in wide else means.index[0]
+        first = rows.iloc[0]
+        print(f"\n{first['scenario']} {first['noise']} (cell {cell}), {given.metric}, compared with {base} = {means[base]:.4g}")
+        for name in means.index:
+            if name == base:
+                continue
+            pair = statistics.paired(wide[name], wide[base])
+            low, high = pair.percent_interval()
+            says = "no difference seen" if low <= 0 <= high else "larger" if low > 0 else "smaller"
+            print(f"  {name:24s} {pair.percent.value:+8.2f} %  [{low:+.2f}, {high:+.2f}]  p = {pair.p_value:.2g}  N = {pair.n}  {says}")
+    return 0
+
+
+def replay(arguments: Sequence[str]) -> int:
+    """`aoabench replay`: repeat one replication of a run and write its truth, measurements and estimates."""
+    from aoabench import replaying
+
+    parser = _Parser(prog="aoabench replay", description="Repeat one replication of a run with its trace.")
+    parser.add_argument("run", help="folder of a run (runner.out)")
+    parser.add_argument("--replication", type=int, required=True, help="its number, >= 0")
+    parser.add_argument("--estimator", required=True, help="name of the estimator")
+    parser.add_argument("--cell", help="cell of the run, if it has several")
+    given = parser.parse_args(list(arguments))
+    print(replaying.replay(Path(given.run), given.replication, given.estimator, given.cell))
+    return 0
+
+
+def list_presets(arguments: Sequence[str]) -> int:
+    """`aoabench list`: every preset with its one-line description."""
+    from aoabench.config import GROUPS, options
+
+    parser = _Parser(prog="aoabench list", description="The presets of each config group.")
+    parser.add_argument("group", nargs="?", choices=GROUPS, help="only this group")
+    parser.add_argument("--config-dir", help="also the configs of this folder")
+    given = parser.parse_args(list(arguments))
+    if given.config_dir and not Path(given.config_dir).is_dir():
+        raise UserError(f"--config-dir={given.config_dir}: no such folder")
+    for group in [given.group] if given.group else GROUPS:
+        presets = options(group, given.config_dir)
+        print(f"{group}:" if presets else f"{group}: (none yet)")
+        for name, text in presets.items():
+            print(f"  {name:24s} {text}")
+    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""Cells to tasks over joblib: what is missing is computed, what is there is used again.
+
+A task is one block of replications of one cell; the worker writes its parts itself, so nothing large travels back and
+nothing finished is lost.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from aoabench import montecarlo, store
+from aoabench.config import Cell
+from aoabench.types import UserError
+
+_LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
+
+
+@dataclass(frozen=True)
+class Task:
+    """Replications start..stop-1 of one cell for some of its estimators (name -> part key)."""
+
+    cell: Cell
+    keys: Mapping[str, str]
+    start: int
+    stop: int
+
+    @property
+    def size(self) -> int:
+        """Replications times estimators."""
+        return (self.stop - self.start) * len(self.keys)
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """What a run did: estimator-replications computed and reused, wall seconds, and where the tables lie."""
+
+    out: Path
+    computed: int
+    reused: int
+    seconds: float
+
+
+def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
+    """Compute what is missing of all cells and make the tables. The cells share one runner.out.
+
+    Raises UserError if the output folder cannot be written.
+    """
+    begin = time.perf_counter()
+    options = cells[0].runner
+    out = writable(options.out)
+    keys = {cell.id: {name: store.part_key(cell, name) for name in cell.estimators} for cell in cells}
+    tasks = [task for cell in cells for task in _tasks(cell, keys[cell.id], out)]
+    wanted = sum(cell.reps * len(cell.estimators) for cell in cells)
+    computed = sum(task.size for task in tasks)
+    _compute(tasks, out, progress)
+    for cell in cells:
+        store.record_cell(out, cell, keys[cell.id], _timing(cell, keys[cell.id], out))
+    store.collect(out, {cell.id for cell in cells})
+    return RunReport(out, computed, wanted - computed, time.perf_counter() - begin)
+
+
+def writable(folder: str) -> Path:
+    """The folder, made if need be; UserError if that, or writing into it, is not possible."""
+    path = Path(folder).expanduser()
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / f".probe-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UserError(f"runner.out={folder!r} cannot be written: {error.strerror}; allowed: a writable folder") from None
+    return path
+
+
+def _tasks(cell: Cell, keys: Mapping[str, str], out: Path) -> Iterator[Task]:
+    """Blocks of whole tiles; estimators that miss the same replications share a block, and so its draws."""
+    gaps: dict[tuple[int, int], dict[str, str]] = defaultdict(dict)
+    for name, key in keys.items():
+        for gap in store.missing_ranges(store.intact_parts(out, key, cell.runner.steps), cell.reps):
+            gaps[gap][name] = key
+    for (start, stop), names in sorted(gaps.items()):
+        tile = math.lcm(*(montecarlo.tile_of(cell.estimators[name]) for name in names))
+        chunk = cell.runner.chunk or min(math.ceil((stop - start) / (4 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK)
+        chunk = math.ceil(chunk / tile) * tile
+        for first in range(start - start % chunk, stop, chunk):
+            yield Task(cell, names, max(first, start), min(first + chunk, stop))
+
+
+def cores(n_jobs: int) -> int:
+    """Workers that `n_jobs` stands for."""
+    return (os.cpu_count() or 1) if n_jobs < 0 else n_jobs
+
+
+def compute(task: Task, out: Path) -> int:
+    """Compute one task and write its parts; returns its size. Runs in a worker."""
+    cell = task.cell
+    estimators = {name: cell.estimators[name] for name in task.keys}
+    steps = cell.runner.steps
+    blocks = montecarlo.run_block(cell.scenario, cell.noise, estimators, cell.seed, task.start, task.stop, steps)
+    for name, (rows, detail) in blocks.items():
+        origin = store.provenance({**cell.config, "this_estimator": name})
+        store.write_part(out, task.keys[name], task.start, task.stop, rows, detail, origin)
+    return task.size
+
+
+def _compute(tasks: Sequence[Task], out: Path, progress: bool) -> None:
+    from joblib import Parallel, delayed
+
+    if not tasks:
+        return
+    options = tasks[0].cell.runner
+    workers = min(cores(options.n_jobs), len(tasks))
+    with _bar(sum(task.size for task in tasks), progress) as advance:
+        if workers == 1 or options.backend == "sequential":
+            for task in tasks:
+                advance(compute(task, out))
+            return
+        parallel = Parallel(workers, backend=options.backend, return_as="generator_unordered", pre_dispatch="2*n_jobs")
+        for size in parallel(delayed(compute)(task, out) for task in tasks):
+            advance(size)
+
+
+@contextmanager
+def _bar(total: int, shown: bool) -> Iterator[Any]:
+    """A progress bar on standard error: replications done, rate, time left. Quiet where nobody watches."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("replications"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not (shown and console.is_terminal), transient=True) as bar:
+        line = bar.add_task("", total=total, rate="")
+
+        def advance(n: int) -> None:
+            bar.advance(line, n)
+            speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
+            bar.update(line, rate=f"{speed:,.0f}/s" if speed else "")
+
+        yield advance
+
+
+def _timing(cell: Cell, keys: Mapping[str, str], out: Path) -> dict[str, Any]:
+    """Serial timings of the cell's estimators; those noted for the same key are kept."""
+    timing = store.known_timing(out, cell.id, keys)
+    fresh = {name: e for name, e in cell.estimators.items() if name not in timing}
+    measured = montecarlo.time_estimators(cell.scenario, cell.noise, fresh, cell.seed) if fresh else {}
+    for name, (seconds, replications, steps) in measured.items():
+        timing[name] = {
+            "seconds_per_step": seconds / (replications * steps),
+            "seconds_per_replication": seconds / replications,
+            "replications": replications,
+            "steps": steps,
+        }
+    return timing
