@@ -165,7 +165,7 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
 
 def reproduce(arguments: Sequence[str]) -> int:
     """`aoabench reproduce`: compute the items of the studies, then draw figures, tables and page."""
-    from aoabench import studies
+    from aoabench import reproducing
 
     parser = _Parser(prog="aoabench reproduce", description="Regenerate the tables and figures of the studies.")
     parser.add_argument("study", nargs="*", help="all if none is named")
@@ -173,18 +173,18 @@ def reproduce(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", metavar="ITEM", help="one table or figure, e.g. table1")
     parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
     given = parser.parse_args(list(arguments))
-    studies.reproduce(given.study, given.scale, given.only, Path(given.results), echo=print)
+    reproducing.reproduce(given.study, given.scale, given.only, Path(given.results), echo=print)
     return 0
 
 
 def report(arguments: Sequence[str]) -> int:
     """`aoabench report`: figures and page from the stored tables; nothing is simulated."""
-    from aoabench import studies
+    from aoabench import reproducing
 
     parser = _Parser(prog="aoabench report", description="Draw figures and page again from the stored tables.")
     parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
     given = parser.parse_args(list(arguments))
-    studies.draw(None, Path(given.results), echo=print)
+    reproducing.draw(reproducing.all_studies(), Path(given.results), echo=print)
     return 0
 
 

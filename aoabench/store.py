@@ -304,6 +304,7 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
             if any(entry["steps"] for entry in record["estimators"].values()):
                 _collect_rows(out, record, STEPS, "steps", steps=True)
     swept = swept_parameters(noted)
+    noted.sort(key=lambda r: (r["experiment"] or "", r["scenario"], r["noise"], _natural(swept[r["cell"]].values())))
     cells = pd.DataFrame(
         [
             {
@@ -368,7 +369,7 @@ def _collect_rows(out: Path, record: Mapping[str, Any], columns: Mapping[str, st
 def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Per cell, the dotted parameters whose values differ between the cells (estimators' own where changed)."""
     flat = {r["cell"]: dict(flatten({k: r["config"][k] for k in ("scenario", "noise")})) | r["changed"] for r in noted}
-    names = sorted({name for leaves in flat.values() for name in leaves})
+    names = sorted({name for leaves in flat.values() for name in leaves if not name.endswith("_target_")})
     keep = []
     for name in names:
         values = [json.dumps(leaves.get(name)) for leaves in flat.values()]
@@ -384,6 +385,11 @@ def flatten(node: Any, prefix: str = "") -> Iterable[tuple[str, Any]]:
             yield from flatten(value, f"{prefix}.{key}" if prefix else str(key))
     else:
         yield prefix, node
+
+
+def _natural(values: Iterable[Any]) -> list[tuple[bool, float, str]]:
+    """Sort key: numbers by value, everything else by its text."""
+    return [(not isinstance(v, int | float), float(v) if isinstance(v, int | float) else 0.0, str(v)) for v in values]
 
 
 def _scalar(value: Any) -> Any:

@@ -1,0 +1,68 @@
+"""Plotting style and small helpers; figures themselves belong to the studies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMN = 3.5  # inches: width of one column in print
+PAGE = 7.2  # inches: width of two columns
+
+# Okabe and Ito's colours, told apart by colour-blind readers; one colour per measurement model everywhere
+COLOURS = {"vmf": "#0072B2", "ae_nominal": "#D55E00", "ae_fitted": "#E69F00", "ae_adaptive": "#009E73"}
+GREY = "#555555"
+LABELS = {"vmf": "VMF", "ae_nominal": "AE-nominal", "ae_fitted": "AE-fitted", "ae_adaptive": "AE-adaptive"}
+MARKERS = {"vmf": "o", "ae_nominal": "s", "ae_fitted": "D", "ae_adaptive": "^"}
+
+
+def new(width: float = COLUMN, height: float | None = None, rows: int = 1, cols: int = 1, **kwargs: Any) -> tuple[Figure, Any]:
+    """A figure and its axes in the house style, `width` and `height` in inches."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    size = (width, height if height is not None else 0.72 * width)
+    return plt.subplots(rows, cols, figsize=size, layout="constrained", **kwargs)
+
+
+def save(make: Callable[[], Figure], path: Path, dpi: int = 200) -> Path:
+    """Draw in the house style and write a PNG that depends on the data alone."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.style.context(str(Path(__file__).with_name("house.mplstyle"))):
+        figure = make()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=dpi, metadata={"Software": None})
+        plt.close(figure)
+    return path
+
+
+def boxes(axis: Any, groups: list[Any], positions: list[float], colours: list[str], width: float = 0.6) -> None:
+    """Horizontal boxes from rows with q05, q25, q50, q75, q95, minimum and maximum: the levels of Nurminen's Fig. 4.
+
+    The box spans 25..75 %, the line is the median, whiskers reach 5 and 95 %, asterisks mark minimum and maximum.
+    """
+    statistics = [
+        {"med": g["q50"], "q1": g["q25"], "q3": g["q75"], "whislo": g["q05"], "whishi": g["q95"], "fliers": [g["minimum"], g["maximum"]]}
+        for g in groups
+    ]
+    drawn = axis.bxp(
+        statistics,
+        positions=positions,
+        orientation="horizontal",
+        widths=width,
+        patch_artist=True,
+        flierprops={"marker": "*", "markersize": 4, "markeredgewidth": 0.5},
+        medianprops={"color": "black", "linewidth": 1.2},
+    )
+    for box, flier, colour in zip(drawn["boxes"], drawn["fliers"], colours):
+        box.set(facecolor=colour, alpha=0.75, linewidth=0.6)
+        flier.set(markerfacecolor=colour, markeredgecolor=colour)

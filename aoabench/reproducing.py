@@ -1,0 +1,80 @@
+"""From a study's list of items to its tables, figures, verdicts and page.
+
+A study is a folder under `experiments/`: study.yaml (the items), numbers.py (item -> table), figures.py (table ->
+figure and values), printed.yaml, errata.yaml, README.md. Computing ends in Parquet; drawing starts from it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from aoabench import runner, store
+from aoabench.config import compose_cells, did_you_mean
+from aoabench.report import page, study
+from aoabench.types import UserError
+
+Echo = Callable[[str], None]
+
+
+def all_studies() -> list[str]:
+    """Names of the studies that ship."""
+    return study.names()
+
+
+def reproduce(names: Sequence[str], scale: str, only: str | None, results: Path, echo: Echo) -> None:
+    """Compute the items of the named studies (all if none is named) at a scale, then draw them.
+
+    Raises UserError for an unknown study or item.
+    """
+    known = all_studies()
+    for name in names:
+        if name not in known:
+            raise UserError(f"study {name!r}: unknown{did_you_mean(name, known) or '; allowed: ' + ', '.join(known)}")
+    chosen = [study.load(name) for name in (names or known)]
+    items = [(s, item) for s in chosen for item in s.items if only is None or item.name == only]
+    if only is not None and not items:
+        present = [item.name for s in chosen for item in s.items]
+        raise UserError(f"--only={only}: unknown item{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}")
+    runner.writable(str(results))
+    for s, item in items:
+        begin = time.perf_counter()
+        frame, origin = compute(s, item, scale, results)
+        origin = {**store.provenance(origin), "scale": scale, "seconds": round(time.perf_counter() - begin, 2)}
+        store.write_frame(study.table_path(results, s, item), frame, origin)
+        echo(f"{s.name} {item.name}: {len(frame)} rows, {origin['seconds']:.1f} s ({scale})")
+    draw([s.name for s in chosen], results, echo, {item.name for _, item in items})
+
+
+def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tuple[Any, Any]:
+    """The table (a frame) of one item, and the config that it came from."""
+    reduce = getattr(s.numbers, item.name)
+    if item.experiment is None:
+        return reduce(scale), {"function": f"experiments/{s.name}/numbers.py:{item.name}", "scale": scale}
+    out = results / "raw" / item.experiment
+    cells = compose_cells([f"experiment={item.experiment}", f"reps={item.reps[scale]}", f"runner.out={out}"])
+    runner.run(cells)
+    frame = store.load(out)
+    return reduce(frame[frame["cell"].isin([c.id for c in cells])]), {"experiment": item.experiment, "cells": [c.config for c in cells]}
+
+
+def draw(names: Sequence[str], results: Path, echo: Echo, only: set[str] | None = None) -> None:
+    """Figures of the named studies, and verdicts and page of all, from the tables under `results`."""
+    runner.writable(str(results / "figures"))
+    for name in names:
+        s = study.load(name)
+        for item in s.items:
+            if only is None or item.name in only:
+                study.draw(s, item, results)
+    everything = [study.load(name) for name in all_studies()]
+    verdicts = study.verdicts(everything, results)
+    if len(verdicts):
+        store.write_frame(results / "tables" / "verdicts.parquet", verdicts)
+    html = page.write(everything, verdicts, results)
+    echo("")
+    echo(study.verdict_text(verdicts[verdicts["study"].isin(list(names))]))
+    echo(f"tables   {results / 'tables'}")
+    echo(f"figures  {results / 'figures'}")
+    echo(f"page     {html}")

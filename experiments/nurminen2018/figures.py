@@ -1,0 +1,163 @@
+"""Nurminen et al. 2018: figures and printed values, each a function of an item's table alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from aoabench.report.plots import COLOURS, GREY, LABELS, MARKERS, PAGE, boxes, new
+from aoabench.statistics import Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLES = {"ae_flip": "Model I: normal angles, flipped", "vmf": "Model II: von Mises-Fisher"}
+
+
+def _split(estimator: str) -> tuple[str, str]:
+    family, _, model = estimator.partition("_")
+    return family.upper(), model
+
+
+# --- Table I ----------------------------------------------------------------------------------------------------------
+
+
+def table1_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
+    """Shares and fitted parameters with the number of samples behind them."""
+    return {
+        f"table1/{r.data}/{r.model}/{r.quantity}": (Estimate(r.value, r.se), float(r.samples)) for r in frame.itertuples()
+    }
+
+
+# --- Figure 1 ---------------------------------------------------------------------------------------------------------
+
+
+def fig1(frame: pd.DataFrame) -> Figure:
+    """Deviations of azimuth (left) and elevation (right) noise against the true elevation [Nurminen 2018, Fig. 1]."""
+    figure, (left, right) = new(PAGE, 2.4, cols=2, sharex=True)
+    x = frame["elevation_deg"]
+    left.plot(x, frame["azimuth_deg"], color=COLOURS["vmf"])
+    left.set(ylabel="azimuth deviation [deg]", ylim=(0, None))
+    right.plot(x, frame["elevation_about_truth_deg"], color=COLOURS["vmf"], label="about the truth")
+    right.plot(x, frame["elevation_about_mean_deg"], color=COLOURS["ae_nominal"], ls="--", label="about the mean")
+    right.set(ylabel="elevation deviation [deg]", ylim=(0, 12))
+    right.legend(loc="lower center")
+    for axis in (left, right):
+        axis.set(xlabel="true elevation [deg]", xlim=(-90, 90), xticks=range(-90, 91, 30))
+    return figure
+
+
+def fig1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """Deviations at the equator, and the growth of the azimuth's towards the pole."""
+    at = frame.set_index("elevation_deg")
+    return {
+        "fig1/azimuth_at_equator": Estimate(at.loc[0.0, "azimuth_deg"], 0.0),
+        "fig1/elevation_at_equator": Estimate(at.loc[0.0, "elevation_about_truth_deg"], 0.0),
+        "fig1/growth_at_pole": Estimate(at.loc[90.0, "azimuth_deg"] / at.loc[0.0, "azimuth_deg"], 0.0),
+    }
+
+
+# --- Figure 2 ---------------------------------------------------------------------------------------------------------
+
+
+def fig2(frame: pd.DataFrame) -> Figure:
+    """Prior mean to posterior means, from above and from the side [Nurminen 2018, Fig. 2]."""
+    figure, axes = new(PAGE, 3.3, cols=2)
+    prior = frame[frame["method"] == "prior"].iloc[0]
+    shown = frame[frame["model"].isin(["ae_nominal", "vmf"])]
+    styles = {"ekf": "-", "ukf": "--"}
+    ray = np.array([-np.cos(9 * np.pi / 20), 0.0, -np.sin(9 * np.pi / 20)])
+    for axis, (i, j) in zip(axes, ((0, 1), (0, 2))):
+        u, v = ("x_m", "y_m", "z_m")[i], ("x_m", "y_m", "z_m")[j]
+        length = 1.05 * np.abs(frame["z_m"]).max() / abs(ray[2])
+        axis.plot([0, length * ray[i]], [0, length * ray[j]], color=GREY, ls=":", label="measured direction")
+        axis.plot(0, 0, "P", color="black", ms=6, label="anchor (pole axis through it)")
+        for r in shown[shown["method"] != "exact"].itertuples():
+            axis.plot(
+                [prior[u], getattr(r, u)], [prior[v], getattr(r, v)], styles[r.method], color=COLOURS[r.model],
+                marker=MARKERS[r.model], markevery=[1], label=f"{r.method.upper()}-{LABELS[r.model]}",
+            )  # fmt: skip
+        for r in shown[shown["method"] == "exact"].itertuples():
+            axis.plot(
+                getattr(r, u), getattr(r, v), "*", color=COLOURS[r.model], ms=10, mec="black", mew=0.6,
+                label=f"exact, {LABELS[r.model]}",
+            )  # fmt: skip
+        axis.plot(prior[u], prior[v], "o", mfc="white", mec="black", ms=6, label="prior mean")
+        axis.set(xlabel=f"{u[0]} [m]", ylabel=f"{v[0]} [m]")
+        axis.set_aspect("equal", adjustable="datalim")
+    axes[0].set_title("from above")
+    axes[1].set_title("from the side")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right center")
+    return figure
+
+
+def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """Angles to the measured direction, and how much further off the AE filters are than the VMF ones."""
+    angle = frame.set_index(["method", "model"])["angle_to_measurement_deg"]
+    found = {}
+    for method in ("ekf", "ukf"):
+        found[f"fig2/{method}/vmf_minus_prior"] = Estimate(angle[method, "vmf"] - angle["prior", "prior"], 0.0)
+        for model in ("ae_nominal", "ae_fitted", "ae_adaptive"):
+            found[f"fig2/{method}/{model}_minus_vmf"] = Estimate(angle[method, model] - angle[method, "vmf"], 0.0)
+    return found
+
+
+# --- the third argument -----------------------------------------------------------------------------------------------
+
+
+def frames(frame: pd.DataFrame) -> Figure:
+    """Mean RMSE with three standard errors of each filter in each anchor frame."""
+    figure, axis = new(PAGE, 2.8)
+    estimators = list(frame["estimator"].unique())[::-1]
+    turns = list(frame["frame_rpy_deg"].unique())
+    for k, (turn, marker) in enumerate(zip(turns, ("o", "s", "^"))):
+        rows = frame[frame["frame_rpy_deg"] == turn].set_index("estimator").loc[estimators]
+        y = np.arange(len(estimators)) + 0.22 * (1 - k)
+        axis.errorbar(
+            rows["rmse_mean_3d_m"], y, xerr=3 * rows["se_m"], fmt=marker, capsize=2, elinewidth=0.8,
+            label=f"roll, pitch, yaw {turn} deg",
+        )  # fmt: skip
+    axis.set_yticks(range(len(estimators)), ["{}-{}".format(f, LABELS[m]) for f, m in map(_split, estimators)])
+    axis.set(xlabel="mean 3-D RMSE [m]", xlim=(0, None))
+    axis.grid(axis="y", visible=False)
+    figure.legend(loc="outside upper center", ncols=3, title="anchor frames turned by")
+    return figure
+
+
+def frames_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """Per filter the change in percent from the unturned frames: the larger of the two rotations'."""
+    found = {}
+    for name, rows in frame[frame["frame_rpy_deg"] != "[0, 0, 0]"].groupby("estimator"):
+        r = rows.loc[(rows["change_percent"].abs() / rows["change_se"]).idxmax()]
+        found[f"frames/{name}"] = Estimate(r["change_percent"], r["change_se"])
+        found[f"frames/{name}/size"] = Estimate(abs(r["change_percent"]), r["change_se"])
+    return found
+
+
+# --- Kalman filters on the track --------------------------------------------------------------------------------------
+
+
+def kalman(frame: pd.DataFrame) -> Figure:
+    """Box plots of the percentage RMSE differences from the UKF-VMF, both data models."""
+    figure, axes = new(PAGE, 2.8, cols=2, sharey=True)
+    names = [n for n in frame["estimator"].unique() if n != "ukf_vmf"][::-1]
+    for axis, noise in zip(axes, TITLES):
+        rows = frame[frame["noise"] == noise].set_index("estimator").loc[names]
+        boxes(axis, [r for _, r in rows.iterrows()], list(range(len(names))), [COLOURS[_split(n)[1]] for n in names])
+        axis.axvline(0, color="black", lw=0.8, ls=":")
+        axis.set_title(TITLES[noise])
+        axis.set(xlabel="RMSE difference from UKF-VMF [%]")
+        axis.set_yticks(range(len(names)), ["{}-{}".format(f, LABELS[m]) for f, m in map(_split, names)])
+    return figure
+
+
+def kalman_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """By how many percent each AE filter's mean RMSE exceeds that of the same filter with the VMF model."""
+    return {
+        f"kalman/{r.noise}/{r.estimator}": Estimate(r.above_own_vmf_percent, r.above_own_vmf_se)
+        for r in frame.itertuples()
+        if not r.estimator.endswith("vmf")
+    }
