@@ -83,7 +83,7 @@ class AzElFitted(AzEl):
     """AE model with the deviations fitted to the data's noise over uniform directions.
 
     `fit: own` computes them; `fit: printed` takes the paper's pair where it prints one (sigma = 10 deg: 18 and 10 deg
-    with Model I, 21 and 10 deg with Model II; erratum E12) and computes them elsewhere.
+    with Model I, 21 and 10 deg with Model II; erratum N12) and computes them elsewhere.
     """
 
     fit: str = "printed"
