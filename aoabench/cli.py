@@ -6,8 +6,11 @@ Exit status: 0 done, 2 the user's mistake (one line), 1 anything else, 130 inter
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -92,10 +95,11 @@ def run(arguments: Sequence[str]) -> int:
     if any(a.lstrip("+~").startswith("hydra.searchpath") for a in arguments):
         raise UserError("hydra.searchpath is not allowed; allowed: --config-dir DIR with configs of your own")
     config.refuse_foreign_hydra(config_dir)
-    overrides = [a for a in arguments if "=" in a and not a.startswith("-")]
+    overrides = [a for a in arguments if a.startswith("~") or ("=" in a and not a.startswith("-"))]
+    flags = [a for a in arguments if a not in overrides]
     cells: list[config.Cell] = []
     with config.explained(overrides, config_dir):
-        _hydra_main(cells, ["aoabench run", *arguments])
+        _hydra_main(cells, flags, overrides)
     if cells:
         done = runner.run(cells)
         _print_run(done, cells)
@@ -112,32 +116,51 @@ def _option_value(arguments: Sequence[str], names: Sequence[str]) -> str | None:
     return None
 
 
-def _hydra_main(cells: list[Any], argv: list[str]) -> None:
-    """Hand the command line to Hydra; each job that it composes is validated and put into `cells`."""
+def _hydra_main(cells: list[Any], flags: Sequence[str], overrides: Sequence[str]) -> None:
+    """Hand the command line to Hydra; each job that it composes is validated and put into `cells`.
+
+    Hydra's own complaints about flags go through us, and its record of a sweep (multirun.yaml) into a folder that is
+    thrown away: the run's tables hold the configs.
+    """
     import hydra
     from hydra.core.hydra_config import HydraConfig
     from omegaconf import DictConfig
 
     from aoabench import config, runner
 
+    mistakes: list[UserError] = []
+
     def job(cfg: DictConfig) -> None:
         hydra_config = HydraConfig.get()
-        overrides = list(hydra_config.overrides.task)
-        cell = config.build(cfg, dict(hydra_config.runtime.choices), overrides=overrides)
+        try:
+            cell = config.build(
+                cfg, dict(hydra_config.runtime.choices), overrides=list(hydra_config.overrides.task)
+            )
+        except UserError as error:  # through Hydra it would arrive with a preamble
+            mistakes.append(error)
+            return
         if hydra_config.launcher._target_.endswith("BasicLauncher"):
             cells.append(cell)
         else:  # another machine or process, which Hydra's launcher chose: compute it there
             runner.run([cell], progress=False)
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions reach us as they are
-    before, sys.argv = sys.argv, argv
+    before, complaints = sys.argv, io.StringIO()
     try:
-        hydra.main(version_base="1.3", config_path=str(config.shipped("configs")), config_name="config")(job)()
+        with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stderr(complaints):
+            own = any(o.startswith(("hydra/launcher", "hydra.sweep.dir")) for o in overrides)
+            sys.argv = ["aoabench run", *flags, *overrides, *([] if own else [f"hydra.sweep.dir={folder}"])]
+            hydra.main(version_base="1.3", config_path=str(config.shipped("configs")), config_name="config")(job)()
     except SystemExit as stop:
         if stop.code not in (0, None):
-            raise UserError("run: the flags cannot be read; see `aoabench run --help`") from None
+            lines = complaints.getvalue().strip().splitlines() or ["the flags cannot be read"]
+            said = lines[-1].partition("error: ")[2] or lines[-1]
+            raise UserError(f"run: {said.partition(' hydra.sweep.dir=')[0]}; see `aoabench run --help`") from None
     finally:
         sys.argv = before
+    if mistakes:
+        raise mistakes[0]
+    sys.stderr.write(complaints.getvalue())
 
 
 def _print_run(done: Any, cells: Sequence[Any]) -> None:
@@ -204,10 +227,12 @@ def compare(arguments: Sequence[str]) -> int:
     frame = store.load(given.run)
     numeric = [c for c in frame.select_dtypes("number").columns if c != "replication"]
     if given.metric not in numeric:
-        raise UserError(f"--metric={given.metric}: no such column{did_you_mean(given.metric, numeric)} allowed: {', '.join(numeric)}")
+        hint = did_you_mean(given.metric, numeric) or f"; allowed: {', '.join(numeric)}"
+        raise UserError(f"--metric={given.metric}: no such column{hint}")
     names = list(frame["estimator"].unique())
     if given.baseline and given.baseline not in names:
-        raise UserError(f"--baseline={given.baseline}: not in this run{did_you_mean(given.baseline, names)} allowed: {', '.join(names)}")
+        hint = did_you_mean(given.baseline, names) or f"; allowed: {', '.join(names)}"
+        raise UserError(f"--baseline={given.baseline}: not in this run{hint}")
     for cell, rows in frame.groupby("cell", sort=False):
         wide = rows.pivot(index="replication", columns="estimator", values=given.metric)
         means = wide.mean().sort_values()

@@ -409,8 +409,15 @@ def explained(overrides: Sequence[str], config_dir: str | None = None) -> Iterat
 
     try:
         yield
+    except UserError:
+        raise
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_explain(error, overrides, config_dir)) from None
+    except ValueError as error:  # Hydra's own, of a group set to something that is no name: noise=null
+        if not any(o.partition("=")[0] in GROUPS for o in overrides):
+            raise
+        given = " ".join(o for o in overrides if o.partition("=")[0] in GROUPS)
+        raise UserError(f"{given}: {_first_line(error)}") from None
 
 
 def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None) -> str:
@@ -422,9 +429,8 @@ def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None)
     if isinstance(error, MissingConfigException) and missing:
         group, _, name = str(missing).rpartition("/")
         known = list(getattr(error, "options", None) or options(group, config_dir))
-        return f"{group or 'config'}={name!r}: unknown preset{did_you_mean(name, known)} allowed: {', '.join(known)}".replace(
-            "? allowed", "? Allowed"
-        ).replace("preset allowed", "preset; allowed")
+        hint = did_you_mean(name, known)
+        return f"{group or 'config'}={name!r}: unknown preset{hint or ';'} allowed: {', '.join(known) or 'none'}"
     text = str(error)
     for override in overrides:
         key = override.partition("=")[0].lstrip("+~")

@@ -1,0 +1,57 @@
+"""Repeat one replication of a run by its number, with everything that an estimator saw and said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from aoabench import montecarlo, store
+from aoabench.config import construct, did_you_mean
+from aoabench.types import UserError
+
+
+def replay(run: Path, replication: int, estimator: str, cell: str | None = None) -> str:
+    """Write <run>/replay/<cell>-<estimator>-<replication>.parquet (a row per step) and return a text about it.
+
+    Raises UserError for a run, cell, estimator or number that is not there, and if the classes come from plug-ins.
+    """
+    if not (run / "cells").is_dir():
+        raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
+    records = {r["cell"]: r for r in store.records(run)}
+    if cell is None and len(records) > 1:
+        raise UserError(f"--cell: this run has several; allowed: {', '.join(records)}")
+    cell = cell or next(iter(records))
+    if cell not in records:
+        raise UserError(f"--cell={cell}: not in this run{did_you_mean(cell, records)}; allowed: {', '.join(records)}")
+    record = records[cell]
+    config = record["config"]
+    presets = {**(config["filter"] or {}), **(config["estimator"] or {})}
+    if estimator not in presets:
+        hint = did_you_mean(estimator, presets) or f"; allowed: {', '.join(presets)}"
+        raise UserError(f"--estimator={estimator}: not in this run{hint}")
+    if replication < 0:
+        raise UserError(f"--replication={replication} is not allowed; allowed: an integer >= 0")
+    scenario, noise = construct(config["scenario"], "scenario"), construct(config["noise"], "noise")
+    draws = montecarlo.Draws(scenario, noise, record["seed"])
+    method = construct(presets[estimator], estimator)
+    size = montecarlo.tile_of(method)
+    first = replication - replication % size
+    truth, estimates = montecarlo.estimate_tile(draws, method, first)
+    i = replication - first
+    _, batch = draws.tile(first, size)
+    columns: dict[str, np.ndarray] = {"step": np.arange(truth.shape[1])}
+    for axis, name in enumerate("xyz"):
+        columns[f"true_{name}_m"] = truth[i, :, axis]
+        columns[f"{name}_m"] = estimates.position[i, :, axis]
+        if estimates.covariance is not None:
+            columns[f"sigma_{name}_m"] = np.sqrt(np.maximum(estimates.covariance[i, :, axis, axis], 0.0))
+    for j in range(batch.azimuth.shape[2]):
+        columns[f"azimuth_{j}_rad"] = batch.azimuth[i, :, j]
+        columns[f"elevation_{j}_rad"] = batch.elevation[i, :, j]
+    columns["error_3d_m"] = np.linalg.norm(estimates.position[i] - truth[i, :, :3], axis=-1)
+    path = run / "replay" / f"{cell}-{estimator}-{replication}.parquet"
+    kinds = {name: "int64" if name == "step" else "double" for name in columns}
+    store.write_table(path, columns, store.schema(kinds, store.provenance(config)))
+    rmse = float(np.sqrt(np.mean(columns["error_3d_m"] ** 2)))
+    return f"cell {cell}, {estimator}, replication {replication}: rmse_3d_m = {rmse:.17g}\ntrace: {path}"

@@ -1,0 +1,130 @@
+"""What is knowable before a run gets one clear line that names key, value and what is allowed, and exit status 2."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from aoabench.cli import main
+
+F = "filter=[ekf_vmf]"
+
+CASES = [
+    # overrides, words that the line must hold
+    (["run"], ["filter", "must be given", "ekf_vmf"]),
+    (["run", "filter=[ekf_vfm]"], ["ekf_vfm", "did you mean 'ekf_vmf'"]),
+    (["run", "filter=[ekf_vmf,ukf_ae_adaptve]"], ["ukf_ae_adaptve", "did you mean 'ukf_ae_adaptive'"]),
+    (["run", "estimator=[wcgg]", F], ["estimator", "wcgg"]),
+    (["run", F, "noise=vfm"], ["noise", "vfm", "did you mean 'vmf'"]),
+    (["run", F, "scenario=square_trak"], ["scenario", "square_trak", "did you mean 'square_track'"]),
+    (["run", F, "experiment=nurminen2018_frame"], ["nurminen2018_frame", "did you mean 'nurminen2018_frames'"]),
+    (["run", F, "runner=locl"], ["runner", "locl", "local"]),
+    (["run", F, "noise.sigma=5"], ["noise.sigma", "did you mean 'noise.sigma_deg'"]),
+    (["run", F, "nois=vmf"], ["nois", "did you mean 'noise'"]),
+    (["run", F, "rep=5"], ["rep", "did you mean 'reps'"]),
+    (["run", F, "+noise.sigma=5"], ["noise.sigma", "unknown key", "sigma_deg"]),
+    (["run", F, "+colour=red"], ["colour", "unknown key"]),
+    (["run", F, "+runner.jobs=2"], ["runner.jobs", "unknown key", "n_jobs"]),
+    (["run", F, "+store.step=true"], ["store.step", "steps"]),
+    (["run", F, "filter.ekf_vmf.measurement.kapa=3"], ["kapa", "did you mean", "kappa"]),
+    (["run", F, "filter.ukf_vmf.lambda_=1"], ["ukf_vmf", "not selected"]),
+    (["run", F, "+filter.ekf_vmf.lambda_=1"], ["filter.ekf_vmf.lambda_", "unknown key"]),
+    (["run", F, "noise.sigma_deg=0"], ["noise.sigma_deg", "0", "> 0", "180"]),
+    (["run", F, "noise.sigma_deg=-3"], ["noise.sigma_deg", "-3", "> 0"]),
+    (["run", F, "noise.sigma_deg=181"], ["noise.sigma_deg", "181", "<= 180"]),
+    (["run", F, "noise.sigma_deg=ten"], ["noise.sigma_deg", "ten", "number"]),
+    (["run", F, "noise.sigma_deg=true"], ["noise.sigma_deg", "True", "number"]),
+    (["run", F, "noise.sigma_deg=.nan"], ["noise.sigma_deg"]),
+    (["run", F, "noise.sigma_deg=inf"], ["noise.sigma_deg", "inf"]),
+    (["run", F, "noise.kappa=0"], ["noise.kappa", "0", "> 0"]),
+    (["run", F, "noise.kappa=-1"], ["noise.kappa", "-1", "> 0"]),
+    (["run", F, "noise.sigma_deg=10", "noise.kappa=33"], ["noise.kappa", "33", "sigma_deg=10"]),
+    (["run", F, "filter.ekf_vmf.measurement.kappa=0"], ["filter.ekf_vmf.measurement.kappa", "> 0"]),
+    (["run", "filter=[ukf_vmf]", "filter.ukf_vmf.lambda_=-1"], ["filter.ukf_vmf.lambda_", "-1", ">= 0"]),
+    (["run", "filter=[ukf_ae_adaptive]", "filter.ukf_ae_adaptive.form=best"], ["form", "best", "averaged, centre, augmented"]),
+    (["run", "filter=[ekf_ae_fitted]", "filter.ekf_ae_fitted.measurement.fit=mine"], ["fit", "mine", "printed, own"]),
+    (["run", "filter=[ekf_ae_nominal]", "filter.ekf_ae_nominal.measurement.sigma_deg=200"], ["sigma_deg", "200", "180"]),
+    (["run", F, "reps=0"], ["reps", "0", ">= 1"]),
+    (["run", F, "reps=2.5"], ["reps", "2.5", "integer"]),
+    (["run", F, "reps=many"], ["reps", "many", "integer"]),
+    (["run", F, "seed=-1"], ["seed", "-1", ">= 0"]),
+    (["run", F, "seed=null"], ["seed", "None", "integer"]),
+    (["run", F, "runner.n_jobs=0"], ["runner.n_jobs", "0", ">= 1"]),
+    (["run", F, "runner.n_jobs=-2"], ["runner.n_jobs", "-2", ">= -1"]),
+    (["run", F, "runner.chunk=0"], ["runner.chunk", "0", ">= 1"]),
+    (["run", F, "runner.backend=spark"], ["runner.backend", "spark", "loky"]),
+    (["run", F, "runner.out=''"], ["runner.out", "folder"]),
+    (["run", F, "runner.out=/dev/null/here"], ["runner.out", "/dev/null/here", "writable"]),
+    (["run", F, "store.steps=perhaps"], ["store.steps", "perhaps", "true or false"]),
+    (["run", F, "scenario.steps=0"], ["scenario.steps", "0", ">= 1"]),
+    (["run", F, "scenario.dt=0"], ["scenario.dt", "0", "> 0"]),
+    (["run", F, "scenario.side_m=-5"], ["scenario.side_m", "-5", "> 0"]),
+    (["run", F, "scenario.motion.q_z=0"], ["scenario.motion.q_z", "0", "> 0"]),
+    (["run", F, "scenario.anchors.position_m=[[1,2]]"], ["scenario.anchors.position_m", "3"]),
+    (["run", F, "scenario.anchors.position_m=[]"], ["scenario.anchors.position_m", "3"]),
+    (["run", F, "scenario.anchors.facing=[[1,0,0]]"], ["scenario.anchors.facing", "one row per anchor"]),
+    (["run", F, "scenario.anchors.facing=[[0,0,0],[1,0,0],[1,0,0],[1,0,0]]"], ["scenario.anchors.facing", "length > 0"]),
+    (["run", F, "scenario.anchors.frame_rpy_deg=[1,2]"], ["frame_rpy_deg", "3"]),
+    (["run", F, "scenario.motion=null"], ["scenario", "motion"]),
+    (["run", F, "noise=null"], ["noise=null", "must be a string"]),
+    (["run", F, "noise.sigma_deg=[1"], ["noise.sigma_deg=[1", "cannot be read"]),
+    (["run", F, "plugins=[no_such_package_xyz]"], ["plugins", "no_such_package_xyz"]),
+    (["run", F, "plugins=['os; rm']"], ["plugins", "importable"]),
+    (["run", F, "hydra.searchpath=[/tmp]"], ["hydra.searchpath", "--config-dir"]),
+    (["run", F, "--config-dir", "/no/such/folder"], ["--config-dir", "/no/such/folder"]),
+    (["run", F, "--config-path", "/tmp"], ["--config-path", "not allowed"]),
+    (["run", F, "--config-name=x"], ["--config-name", "not allowed"]),
+    (["run", F, "--no-such-flag"], ["--no-such-flag", "--help"]),
+    (["run", "-m", F, "noise.sigma_deg=2,5,-1"], ["noise.sigma_deg", "-1", "> 0"]),
+    (["rnu"], ["rnu", "did you mean 'run'"]),
+    (["reproduce", "nurminen"], ["nurminen", "nurminen2018"]),
+    (["reproduce", "--only", "fig99"], ["fig99", "did you mean 'fig2'"]),
+    (["reproduce", "--scale", "huge"], ["--scale", "huge", "quick"]),
+    (["compare", "/no/such/run"], ["/no/such/run", "no results"]),
+    (["compare"], ["run"]),
+    (["list", "filtre"], ["filtre"]),
+    (["replay", "/no/such/run", "--replication", "0", "--estimator", "x"], ["/no/such/run"]),
+]
+
+
+@pytest.mark.parametrize(("argv", "words"), CASES, ids=[" ".join(c[0]) for c in CASES])
+def test_one_clear_line_and_status_2(argv, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(argv)
+    out, err = capsys.readouterr()
+    assert stop.value.code == 2, (out, err)
+    assert len(err.strip().splitlines()) == 1, err
+    assert "Traceback" not in out + err
+    for word in words:
+        assert word in err, (word, err)
+    assert not (tmp_path / "results").exists(), "nothing was started"
+
+
+def test_a_bad_value_late_in_a_sweep_is_found_before_anything_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(["run", "-m", F, "noise.sigma_deg=2,5,0", "runner.out=here"])
+    assert stop.value.code == 2
+    assert not (tmp_path / "here" / "parts").exists()
+
+
+def test_an_unwritable_folder_is_named(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "file"
+    file.write_text("")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(["run", F, f"runner.out={file}/inside"])
+    assert stop.value.code == 2
+    assert "runner.out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("argv", [["run", "filter=[ekf_vfm]"], ["run", F, "noise.kappa=-1"]])
+def test_the_real_command_does_the_same(argv, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "aoabench.cli", *argv], capture_output=True, text=True, cwd=tmp_path, env=os.environ
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stdout == ""
