@@ -335,6 +335,7 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
     """Hydra's compose API over the shipped configs, a user's own appended to the search path."""
     from hydra._internal.hydra import Hydra
     from hydra._internal.utils import create_config_search_path
+    from hydra.core.config_search_path import SearchPathQuery
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.singleton import Singleton
     from hydra.version import setbase
@@ -345,7 +346,7 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
     setbase("1.3")
     path = create_config_search_path(str(shipped("configs")))
     if config_dir:
-        path.append("command-line", f"file://{Path(config_dir).resolve()}")
+        path.prepend("command-line", f"file://{Path(config_dir).resolve()}", SearchPathQuery(provider="schema"))
     Hydra.create_main_hydra2(task_name="aoabench", config_search_path=path)
     try:
         yield

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -123,9 +124,17 @@ def _compute(tasks: Sequence[Task], out: Path, progress: bool) -> None:
             for task in tasks:
                 advance(compute(task, out))
             return
-        parallel = Parallel(workers, backend=options.backend, return_as="generator_unordered", pre_dispatch="2*n_jobs")
+        prepare = {"initializer": _find_plugins, "initargs": (list(sys.path),)} if options.backend == "loky" else {}
+        parallel = Parallel(
+            workers, backend=options.backend, return_as="generator_unordered", pre_dispatch="2*n_jobs", **prepare
+        )
         for size in parallel(delayed(compute)(task, out) for task in tasks):
             advance(size)
+
+
+def _find_plugins(path: list[str]) -> None:
+    """In a worker: import from where the parent does."""
+    sys.path[:] = path
 
 
 @contextmanager

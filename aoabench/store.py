@@ -130,7 +130,8 @@ def source_hash(roots: frozenset[str], plugins: tuple[str, ...] = ()) -> str:
                 todo += [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom):
                 base = importlib.util.resolve_name("." * node.level + (node.module or ""), _package(name, file))
-                todo += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+                inner = [f"{base}.{alias.name}" for alias in node.names]
+                todo += [name if _file_of(name) else base for name in inner]
             body = getattr(node, "body", None)
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and body:
                 first = body[0]
@@ -341,7 +342,7 @@ def _collect_rows(out: Path, record: Mapping[str, Any], columns: Mapping[str, st
     import pyarrow.parquet as pq
 
     inner = schema({n: k for n, k in columns.items() if n not in _IDENTITY})
-    outer = schema(columns, {"config": record["config"], **record["provenance"]})
+    outer = schema(columns, {**record["provenance"], "config": record["config"]})
 
     def write(temporary: Path) -> None:
         with pq.ParquetWriter(temporary, outer, compression="zstd") as writer:

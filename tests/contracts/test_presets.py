@@ -1,0 +1,62 @@
+"""Every shipped preset by itself: it composes, runs a few replications, and keeps the estimators' contract."""
+
+import numpy as np
+import pytest
+
+from aoabench.config import compose_cells, options
+from aoabench.montecarlo import Draws, estimate_tile, run_block, tile_of
+from aoabench.types import Outcome
+
+ESTIMATORS = [("filter", n) for n in options("filter")] + [("estimator", n) for n in options("estimator")]
+
+
+@pytest.mark.parametrize("scenario", options("scenario"))
+@pytest.mark.parametrize("noise", options("noise"))
+def test_every_scenario_with_every_noise(scenario, noise):
+    cell = compose_cells([f"scenario={scenario}", f"noise={noise}", "filter=[ekf_vmf]"])[0]
+    rows, _ = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3)["ekf_vmf"]
+    assert np.all(np.isfinite(rows["rmse_3d_m"]))
+    truth, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 2)
+    assert np.all((batch.azimuth > -np.pi) & (batch.azimuth <= np.pi))
+    if noise != "ae_normal":
+        assert np.all(np.abs(batch.elevation) <= np.pi / 2)
+    assert truth.shape[0] == 2
+
+
+@pytest.mark.parametrize(("group", "name"), ESTIMATORS)
+@pytest.mark.parametrize("noise", ["ae_flip", "vmf"])
+def test_every_estimator_keeps_the_contract(group, name, noise):
+    cell = compose_cells([f"noise={noise}", f"{group}=[{name}]"])[0]
+    estimator = cell.estimators[name]
+    truth, e = estimate_tile(Draws(cell.scenario, cell.noise, 1), estimator, 0)
+    R, T = truth.shape[:2]
+    assert R == tile_of(estimator)
+    assert e.position.shape == (R, T, 3)
+    assert e.outcome.shape == (R, T)
+    assert set(np.unique(e.outcome)) <= set(Outcome)
+    failed = np.isin(e.outcome, [Outcome.FAILED, Outcome.REJECTED])
+    assert np.all(np.isfinite(e.position[~failed]))
+    if e.covariance is not None:
+        P = e.covariance[~failed]
+        assert np.allclose(P, np.swapaxes(P, -1, -2))
+        assert np.linalg.eigvalsh(P).min() > 0
+
+
+@pytest.mark.parametrize(("group", "name"), ESTIMATORS)
+def test_every_estimator_is_better_than_no_measurement_at_all(group, name):
+    """The track is 5 m wide; whoever ignores the measurements is off by more than 3 m."""
+    cell = compose_cells(["scenario=square_track_upright", "noise=vmf", f"{group}=[{name}]"])[0]
+    rows, _ = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 64)[name]
+    assert np.median(rows["rmse_3d_m"]) < 1.5
+
+
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_every_experiment_composes(experiment):
+    cells = compose_cells([f"experiment={experiment}"])
+    assert len({c.id for c in cells}) == len(cells) >= 1
+
+
+def test_the_names_that_users_type_exist():
+    assert {f"{a}_{b}" for a in ("ekf", "ukf") for b in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")} <= set(options("filter"))
+    assert {"ae_normal", "ae_flip", "vmf"} <= set(options("noise"))
+    assert "square_track" in options("scenario")

@@ -1,0 +1,145 @@
+"""What a config may name, and that nothing else gets in."""
+
+import os
+
+import pytest
+
+from aoabench import config
+from aoabench.config import compose_cells, construct, resolve
+from aoabench.types import UserError
+
+
+@pytest.mark.parametrize("target", [
+    "os.system",
+    "builtins.eval",
+    "subprocess.Popen",
+    "aoabench.cli.os.system",
+    "aoabench.cli.main",
+    "aoabench.runner.Task",
+    "aoabench.store.os.remove",
+    "aoabench.noise.angular.np.load",
+    "aoabench.noise.angular.math.exp",
+    "aoabench.noise.angular.check_number",
+    "aoabench.noise.angular.Any",
+    "aoabench.noise.angular._Angular",
+    "aoabench.noise.angular.Measurements",
+    "aoabench.models.azel.Batch",
+    "aoabench.filters.kalman.cholesky",
+    "aoabench.noise.angular.__builtins__.eval",
+    "aoabench.noisex.Evil",
+    "..os.system",
+    "",
+    None,
+    7,
+    ["os.system"],
+])  # fmt: skip
+def test_targets_other_than_our_plug_ins_are_refused(target):
+    with pytest.raises(UserError, match="_target_"):
+        resolve(target, "noise")
+
+
+def test_our_own_classes_resolve():
+    from aoabench.noise.angular import VonMisesFisher
+
+    assert resolve("aoabench.noise.angular.VonMisesFisher", "noise") is VonMisesFisher
+
+
+@pytest.mark.parametrize("node", [
+    {"_target_": "aoabench.noise.angular.VonMisesFisher", "_args_": [1]},
+    {"_target_": "aoabench.noise.angular.VonMisesFisher", "_partial_": True},
+    {"_target_": "aoabench.filters.kalman.EKF", "measurement": {"_target_": "os.system"}},
+    {"_target_": "aoabench.filters.kalman.EKF", "measurement": [{"_target_": "builtins.exec"}]},
+    {"_target_": "aoabench.filters.kalman.EKF"},
+    {"sigma_deg": 3},
+])  # fmt: skip
+def test_bad_nodes_are_refused(node):
+    with pytest.raises(UserError):
+        construct(node, "x")
+
+
+MALICIOUS = {
+    "callback": ("experiment/x.yaml", "# @package _global_\nhydra:\n  callbacks:\n    evil: {_target_: os.system, command: touch HIT}\n"),
+    "launcher": ("experiment/x.yaml", "# @package _global_\nhydra:\n  launcher: {_target_: os.system}\n"),
+    "launcher default": ("experiment/x.yaml", "# @package _global_\ndefaults:\n  - override /hydra/launcher: evil\n"),
+    "package header": ("experiment/x.yaml", "# @package hydra.callbacks\nevil: {_target_: os.system, command: touch HIT}\n"),
+    "package in defaults": ("experiment/x.yaml", "defaults:\n  - /noise@hydra.callbacks.evil: y\n"),
+    "search path": ("experiment/x.yaml", "# @package _global_\nhydra:\n  searchpath: [file:///tmp]\n"),
+    "own hydra group": ("hydra/callbacks/x.yaml", "evil: {_target_: os.system, command: touch HIT}\n"),
+    "dotted": ("experiment/x.yaml", "# @package _global_\nhydra.callbacks.evil: {_target_: os.system}\n"),
+    "plugins": ("experiment/x.yaml", "# @package _global_\nplugins: [os]\n"),
+    "sweeper itself": ("experiment/x.yaml", "# @package _global_\nhydra:\n  sweeper: {_target_: os.system}\n"),
+}
+
+
+@pytest.mark.parametrize("case", MALICIOUS)
+def test_configs_from_outside_cannot_reach_hydra(case, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file, text = MALICIOUS[case]
+    path = tmp_path / "conf" / file
+    path.parent.mkdir(parents=True)
+    path.write_text(text)
+    with pytest.raises(UserError):
+        compose_cells(["filter=[ekf_vmf]", "experiment=x", "reps=2"], config_dir="conf")
+    assert not (tmp_path / "HIT").exists()
+
+
+@pytest.mark.parametrize("text", [
+    "_target_: os.system\ncommand: touch HIT\n",
+    "_target_: ${oc.env:EVIL}\ncommand: touch HIT\n",
+    "_target_: aoabench.noise.angular.VonMisesFisher\nsigma_deg: {_target_: os.system, command: touch HIT}\n",
+])  # fmt: skip
+def test_targets_from_outside_are_refused(text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("EVIL", "os.system")
+    (tmp_path / "conf" / "noise").mkdir(parents=True)
+    (tmp_path / "conf" / "noise" / "evil.yaml").write_text(text)
+    with pytest.raises(UserError):
+        compose_cells(["filter=[ekf_vmf]", "noise=evil", "reps=2"], config_dir="conf")
+    assert not (tmp_path / "HIT").exists()
+
+
+def test_a_users_experiment_may_sweep(tmp_path):
+    (tmp_path / "experiment").mkdir()
+    (tmp_path / "experiment" / "mine.yaml").write_text(
+        "# @package _global_\n# Mine\ndefaults:\n  - override /filter: [ekf_vmf]\nhydra:\n  sweeper:\n    params:\n      noise.sigma_deg: 3,4,5\n"
+    )
+    cells = compose_cells(["experiment=mine", "reps=2"], config_dir=str(tmp_path))
+    assert [c.noise.sigma_deg for c in cells] == [3, 4, 5]
+    assert {c.experiment for c in cells} == {"mine"}
+    narrowed = compose_cells(["experiment=mine", "noise.sigma_deg=4"], config_dir=str(tmp_path))
+    assert [c.noise.sigma_deg for c in narrowed] == [4], "the command line wins"
+
+
+def test_the_shipped_presets_win_over_a_users_of_the_same_name(tmp_path):
+    (tmp_path / "noise").mkdir()
+    (tmp_path / "noise" / "vmf.yaml").write_text("_target_: aoabench.noise.angular.NormalAngles\n")
+    cell = compose_cells(["filter=[ekf_vmf]", "noise=vmf"], config_dir=str(tmp_path))[0]
+    assert type(cell.noise).__name__ == "VonMisesFisher"
+
+
+def test_plugins_must_be_importable_names_and_classes_must_be_theirs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_alias.py").write_text("from os import system\nfrom subprocess import Popen\n")
+    (tmp_path / "conf" / "estimator").mkdir(parents=True)
+    for name in ("system", "Popen"):
+        (tmp_path / "conf" / "estimator" / f"{name}.yaml").write_text(f"{name}:\n  _target_: my_alias.{name}\n")
+        with pytest.raises(UserError, match="_target_"):
+            compose_cells([f"estimator=[{name}]"], config_dir="conf", plugins=["my_alias"])
+
+
+def test_hydras_state_is_left_as_it_was():
+    from hydra.core.global_hydra import GlobalHydra
+
+    compose_cells(["filter=[ekf_vmf]"])
+    assert not GlobalHydra.instance().is_initialized()
+
+
+def test_options_list_every_shipped_file_with_a_description():
+    for group in config.GROUPS:
+        for name, text in config.options(group).items():
+            assert text, f"{group}/{name} has no description in its first comment"
+
+
+def test_shipped_folders_exist():
+    assert (config.shipped("configs") / "config.yaml").is_file()
+    assert os.path.isdir(config.shipped("experiments"))

@@ -1,0 +1,306 @@
+"""Bit-identity, pairing, top-up, reuse and integrity of runs, through the Python interface."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import aoabench
+from aoabench import runner, store
+from aoabench.config import compose_cells
+
+BASE = ["noise=ae_flip", "filter=[ekf_vmf,ukf_ae_adaptive]"]
+
+
+def rows(out):
+    frame = aoabench.load(out)
+    return frame.sort_values(["cell", "estimator", "replication"]).reset_index(drop=True)
+
+
+def run(out, *overrides):
+    cells = compose_cells([*BASE, *overrides, f"runner.out={out}"])
+    return runner.run(cells, progress=False)
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    out = tmp_path_factory.mktemp("reference")
+    run(out, "reps=300", "runner.n_jobs=1", "store.steps=true")
+    return out
+
+
+@pytest.mark.parametrize("how", [
+    ["runner.n_jobs=2"],
+    ["runner.n_jobs=2", "runner.chunk=1"],
+    ["runner.n_jobs=2", "runner.chunk=7"],
+    ["runner.n_jobs=1", "runner.chunk=64"],
+    ["runner.n_jobs=1", "runner.chunk=256"],
+    ["runner.n_jobs=2", "runner.backend=threading"],
+    ["runner.n_jobs=2", "runner.backend=sequential"],
+])  # fmt: skip
+def test_rows_do_not_depend_on_how_they_are_run(how, reference, tmp_path):
+    run(tmp_path, "reps=300", *how)
+    pd.testing.assert_frame_equal(rows(tmp_path), rows(reference), check_exact=True)
+
+
+def test_draws_and_rows_do_not_depend_on_the_selection(reference, tmp_path):
+    cells = compose_cells(["noise=ae_flip", "filter=[ekf_ae_nominal,ekf_vmf]", "reps=300", f"runner.out={tmp_path}"])
+    runner.run(cells, progress=False)
+    alone, among = rows(tmp_path), rows(reference)
+    columns = [c for c in alone if c != "cell"]
+    a, b = (f[f["estimator"] == "ekf_vmf"][columns].reset_index(drop=True) for f in (alone, among))
+    pd.testing.assert_frame_equal(a, b, check_exact=True)
+
+
+def test_top_up_computes_only_what_is_missing_and_equals_a_fresh_run(reference, tmp_path):
+    first = run(tmp_path, "reps=40")
+    assert (first.computed, first.reused) == (80, 0)
+    second = run(tmp_path, "reps=300")
+    assert (second.computed, second.reused) == (520, 80)
+    pd.testing.assert_frame_equal(rows(tmp_path), rows(reference), check_exact=True)
+    third = run(tmp_path, "reps=300")
+    assert (third.computed, third.reused) == (0, 600)
+    fourth = run(tmp_path, "reps=100")
+    assert fourth.computed == 0
+    assert len(rows(tmp_path)) == 200, "the tables show what was asked for last"
+
+
+def test_two_hundred_then_a_thousand_computes_eight_hundred(tmp_path):
+    cells = [compose_cells(["filter=[ekf_vmf]", f"reps={n}", f"runner.out={tmp_path}"]) for n in (200, 1000)]
+    assert runner.run(cells[0], progress=False).computed == 200
+    assert runner.run(cells[1], progress=False).computed == 800
+    frame = aoabench.load(tmp_path)
+    assert list(frame["replication"]) == list(range(1000))
+
+
+def test_a_further_estimator_joins_the_cell(tmp_path):
+    for names in ("ekf_vmf", "ukf_vmf"):
+        runner.run(compose_cells([f"filter=[{names}]", "reps=20", f"runner.out={tmp_path}"]), progress=False)
+    frame = aoabench.load(tmp_path)
+    assert frame["cell"].nunique() == 1
+    assert set(frame["estimator"]) == {"ekf_vmf", "ukf_vmf"}
+
+
+def test_a_changed_parameter_is_another_cell_and_its_column(tmp_path):
+    frame = aoabench.run("filter=[ukf_vmf,ekf_vmf]", "filter.ukf_vmf.lambda_=0.5,1", "noise.sigma_deg=4,8", "reps=20", out=tmp_path)
+    assert frame["cell"].nunique() == 4
+    assert set(frame["noise.sigma_deg"]) == {4, 8}
+    assert set(frame["filter.ukf_vmf.lambda_"].dropna()) == {1}
+    cells = pd.read_parquet(tmp_path / "cells.parquet")
+    assert {"noise.sigma_deg", "filter.ukf_vmf.lambda_", "config", "scenario", "noise", "seed"} <= set(cells)
+    assert json.loads(cells["config"][0])["scenario"]["name"] == "square_track"
+
+
+def test_layout_variants_share_their_draws():
+    """Streams are keyed on the scenario's name, which variants of one track have in common."""
+    a, b = compose_cells(["scenario=square_track,square_track_far", "filter=[ekf_vmf]"])
+    from aoabench.montecarlo import simulate
+
+    truth_a, _, prior_a = simulate(a.scenario, a.noise, 1, 5)
+    truth_b, _, prior_b = simulate(b.scenario, b.noise, 1, 5)
+    assert np.array_equal(truth_a, truth_b)
+    assert np.array_equal(prior_a[0], prior_b[0])
+    assert a.id != b.id
+
+
+def test_seeds_and_roles_give_different_draws():
+    from aoabench.streams import generator
+
+    keys = [(1, "a", 0, 0, 0), (2, "a", 0, 0, 0), (1, "b", 0, 0, 0), (1, "a", 1, 0, 0), (1, "a", 0, 1, 0), (1, "a", 0, 3, 1)]
+    draws = [tuple(generator(*k).random(4)) for k in keys]
+    assert len(set(draws)) == len(keys)
+    assert draws[0] == tuple(generator(*keys[0]).random(4))
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def test_tables_follow_the_documented_schemas(reference):
+    frame = pd.read_parquet(reference / "replications.parquet")
+    assert list(frame.columns) == list(store.REPLICATIONS)
+    assert (frame["n_fixes"] == 64).all()
+    assert (frame["n_ok"] == 64).all()
+    steps = pd.read_parquet(reference / "steps.parquet")
+    assert list(steps.columns) == list(store.STEPS)
+    assert len(steps) == 64 * len(frame)
+    summary = pd.read_parquet(reference / "summary.parquet").set_index("estimator")
+    timing = pd.read_parquet(reference / "timing.parquet")
+    assert list(timing.columns) == list(store.TIMING)
+    assert (timing["seconds_per_step"] > 0).all()
+    for name, group in steps.groupby("estimator"):
+        mine = frame[frame["estimator"] == name].set_index("replication")
+        square = group["error_3d_m"] ** 2
+        assert np.allclose(np.sqrt(square.groupby(group["replication"]).mean()), mine["rmse_3d_m"])
+        assert summary.loc[name, "rmse_pooled_3d_m"] == pytest.approx(np.sqrt(square.mean()))
+        assert summary.loc[name, "rmse_mean_3d_m"] == pytest.approx(mine["rmse_3d_m"].mean())
+        assert summary.loc[name, "rmse_mean_3d_m_se"] == pytest.approx(mine["rmse_3d_m"].std() / np.sqrt(300))
+    origin = store.read_provenance(reference / "replications.parquet" / f"{frame['cell'][0]}.parquet")
+    assert origin["config"]["seed"] == 1
+    assert {"numpy", "scipy"} <= set(origin["libraries"])
+    assert origin["cpu_features"]
+
+
+def test_steps_asked_for_later_are_computed_then(tmp_path):
+    run(tmp_path, "reps=20")
+    assert run(tmp_path, "reps=20", "store.steps=true").computed == 40
+    assert len(pd.read_parquet(tmp_path / "steps.parquet")) == 20 * 64 * 2
+
+
+# --- keys and integrity -----------------------------------------------------------------------------------------------
+
+
+def test_an_altered_part_is_found_and_computed_again(tmp_path):
+    run(tmp_path, "reps=20")
+    before = rows(tmp_path)
+    for i, part in enumerate(sorted((tmp_path / "parts").rglob("*.parquet"))):
+        data = bytearray(part.read_bytes())
+        data[len(data) // 3] ^= 1
+        part.write_bytes(data if i == 0 else data[: len(data) // 2])
+    assert run(tmp_path, "reps=20").computed == 40
+    pd.testing.assert_frame_equal(rows(tmp_path), before, check_exact=True)
+
+
+def keys_of(*overrides):
+    cell = compose_cells([*BASE, *overrides])[0]
+    return [store.part_key(cell, name) for name in cell.estimators]
+
+
+def test_keys_depend_on_what_numbers_depend_on_and_nothing_else():
+    base = keys_of()
+    for same in (["reps=7"], ["runner.n_jobs=1"], ["store.steps=true"], ["runner.out=/tmp/x"], ["filter=[ukf_ae_adaptive,ekf_vmf]"]):
+        assert set(keys_of(*same)) == set(base)
+    for other in (["seed=2"], ["noise=vmf"], ["noise.sigma_deg=9"], ["scenario=square_track_far"], ["scenario.steps=63"]):
+        assert not set(keys_of(*other)) & set(base)
+    mine = keys_of("filter.ekf_vmf.measurement.kappa=40")
+    assert mine[0] != base[0]
+    assert mine[1] == base[1], "another estimator's parameter"
+
+
+def test_source_hash_follows_imports_and_ignores_comments(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "plug_a.py").write_text('"""Doc."""\nimport plug_b\nx = 1\n')
+    (tmp_path / "plug_b.py").write_text("y = 1\n")
+
+    def now():
+        store.source_hash.cache_clear()
+        return store.source_hash(frozenset({"plug_a"}), ("plug_a", "plug_b"))
+
+    first = now()
+    (tmp_path / "plug_a.py").write_text('"""Other doc."""\nimport plug_b  # why\n\n\nx = 1\n')
+    assert now() == first
+    (tmp_path / "plug_b.py").write_text("y = 2\n")
+    assert now() != first
+
+
+def test_source_hash_of_a_filter_covers_what_it_imports_but_no_plot():
+    import ast
+    import sys
+
+    seen = []
+    original = ast.parse
+    store.source_hash.cache_clear()
+    try:
+        ast.parse = lambda source, *a, **k: (seen.append(bytes(source)), original(source, *a, **k))[1]
+        store.source_hash(frozenset({"aoabench.filters.kalman", "aoabench.montecarlo"}))
+    finally:
+        ast.parse = original
+    texts = set(seen)
+
+    def source(name):
+        with open(sys.modules[name].__file__, "rb") as file:
+            return file.read()
+
+    import aoabench.report.study
+
+    for name in ("aoabench.filters.kalman", "aoabench.montecarlo", "aoabench.geometry", "aoabench.metrics", "aoabench.types"):
+        assert source(name) in texts
+    for name in ("aoabench.report.study", "aoabench.store", "aoabench.runner"):
+        assert source(name) not in texts
+
+
+@pytest.mark.parametrize(("done", "reps", "gaps"), [
+    ([], 10, [(0, 10)]),
+    ([(0, 10)], 10, []),
+    ([(0, 4), (6, 8)], 10, [(4, 6), (8, 10)]),
+    ([(0, 20)], 10, []),
+    ([(5, 20)], 10, [(0, 5)]),
+    ([(0, 6), (4, 8)], 10, [(8, 10)]),
+    ([(12, 20)], 10, [(0, 10)]),
+])  # fmt: skip
+def test_missing_ranges(done, reps, gaps):
+    assert store.missing_ranges(done, reps) == gaps
+
+
+# --- an estimator of one's own ----------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class AlwaysTheMiddle:
+    """Answers the middle of the anchors; fails on the first step."""
+
+    shift_m: float = 0.0
+
+    def __call__(self, batch, scenario, streams):
+        R, T, _ = batch.azimuth.shape
+        position = np.tile(batch.anchors.position.mean(axis=(0, 1)) + self.shift_m, (R, T, 1))
+        outcome = np.zeros((R, T), dtype=np.int8)
+        outcome[:, 0] = aoabench.Outcome.FAILED
+        position[:, 0] = np.nan
+        return aoabench.Estimates(position, None, None, outcome)
+
+
+def test_an_object_of_ones_own_gets_its_rows_and_the_same_draws(tmp_path, reference):
+    frame = aoabench.run(*BASE, "reps=60", estimators={"middle": AlwaysTheMiddle()}, out=tmp_path)
+    mine = frame[frame["estimator"] == "middle"]
+    assert len(mine) == 60
+    assert (mine["outcome"] == "failed").all()
+    assert (mine["n_failed"] == 1).all()
+    assert mine["rmse_3d_m"].between(1, 5).all()
+    summary = pd.read_parquet(tmp_path / "summary.parquet").set_index("estimator")
+    assert summary.loc["middle", "failure_rate"] == 1.0
+    theirs = frame[frame["estimator"] == "ekf_vmf"]["rmse_3d_m"].to_numpy()
+    among = rows(reference)
+    assert np.array_equal(theirs, among[among["estimator"] == "ekf_vmf"]["rmse_3d_m"].to_numpy()[:60])
+    again = aoabench.run(*BASE, "reps=60", estimators={"middle": AlwaysTheMiddle(shift_m=1.0)}, out=tmp_path)
+    assert not np.allclose(again[again["estimator"] == "middle"]["rmse_3d_m"], mine["rmse_3d_m"])
+
+
+PLUGIN = '''
+from dataclasses import dataclass
+import numpy as np
+from aoabench import Estimates
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Answers the origin."""
+
+    height_m: float = 0.0
+
+    def __call__(self, batch, scenario, streams):
+        R, T, _ = batch.azimuth.shape
+        position = np.zeros((R, T, 3))
+        position[..., 2] = self.height_m
+        return Estimates(position, None, None, np.zeros((R, T), dtype=np.int8))
+'''
+
+
+def test_one_file_and_one_yaml_add_an_estimator(tmp_path, monkeypatch):
+    """Through two worker processes, named in plugins and found by --config-dir."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_origin.py").write_text(PLUGIN)
+    (tmp_path / "conf" / "estimator").mkdir(parents=True)
+    (tmp_path / "conf" / "estimator" / "origin.yaml").write_text("# Mine\norigin:\n  _target_: my_origin.Origin\n  height_m: 0\n")
+    frame = aoabench.run(
+        "estimator=[origin]", "filter=[ekf_vmf]", "reps=300", "runner.n_jobs=2", out="out", config_dir="conf", plugins=["my_origin"]
+    )
+    assert frame.groupby("estimator").size().to_dict() == {"ekf_vmf": 300, "origin": 300}
+    with pytest.raises(aoabench.UserError, match="plugins"):
+        aoabench.run("estimator=[origin]", "reps=3", out="out", config_dir="conf")
+
+
+def test_load_says_what_is_missing(tmp_path):
+    with pytest.raises(aoabench.UserError, match="no results"):
+        aoabench.load(tmp_path)
