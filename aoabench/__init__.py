@@ -33,7 +33,7 @@ def run(
     draws as the presets. `out` is the folder of the tables (runner.out). Raises UserError for a mistake in the input.
     """
     from aoabench import runner
-    from aoabench.config import compose_cells
+    from aoabench.composing import compose_cells
 
     given = [*overrides, *([f"runner.out={os.fspath(out)}"] if out is not None else [])]
     cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
@@ -42,6 +42,6 @@ def run(
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """One row per cell x estimator x replication of the run in folder `out`, with a column per swept parameter."""
-    from aoabench import store
+    from aoabench import tables
 
-    return store.load(out)
+    return tables.load(out)

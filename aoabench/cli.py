@@ -71,7 +71,7 @@ _HELP = """\
 aoabench: Monte Carlo benchmark of angle-of-arrival (AoA) positioning
 
   aoabench list                        the presets: scenarios, noises, filters, estimators, experiments
-  aoabench run [OVERRIDES]             simulate one cell, e.g. aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
+  aoabench run [OVERRIDES]             simulate one cell: aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
   aoabench run -m [OVERRIDES]          sweep, e.g. ... -m noise.sigma_deg=2,5,10 (Hydra multirun; run --help says more)
   aoabench compare RUN                 paired comparison of the estimators of a run
   aoabench replay RUN --replication N --estimator NAME    repeat one replication with its trace
@@ -86,7 +86,7 @@ RUN is the folder of a run (runner.out). Exit status: 0 done, 2 a mistake in the
 
 def run(arguments: Sequence[str]) -> int:
     """`aoabench run`: Hydra composes every job first; when all are valid, they are computed together."""
-    from aoabench import config, runner
+    from aoabench import composing, config, runner
 
     config_dir = _option_value(arguments, ("--config-dir", "-cd"))
     for flag in ("--config-path", "-cp", "--config-name", "-cn"):
@@ -94,11 +94,11 @@ def run(arguments: Sequence[str]) -> int:
             raise UserError(f"{flag} is not allowed; allowed: --config-dir DIR with configs of your own")
     if any(a.lstrip("+~").startswith("hydra.searchpath") for a in arguments):
         raise UserError("hydra.searchpath is not allowed; allowed: --config-dir DIR with configs of your own")
-    config.refuse_foreign_hydra(config_dir)
+    composing.refuse_foreign_hydra(config_dir)
     overrides = [a for a in arguments if a.startswith("~") or ("=" in a and not a.startswith("-"))]
     flags = [a for a in arguments if a not in overrides]
     cells: list[config.Cell] = []
-    with config.explained(overrides, config_dir):
+    with composing.explained(overrides, config_dir):
         _hydra_main(cells, flags, overrides)
     if cells:
         done = runner.run(cells)
@@ -126,14 +126,14 @@ def _hydra_main(cells: list[Any], flags: Sequence[str], overrides: Sequence[str]
     from hydra.core.hydra_config import HydraConfig
     from omegaconf import DictConfig
 
-    from aoabench import config, runner
+    from aoabench import composing, config, runner
 
     mistakes: list[UserError] = []
 
     def job(cfg: DictConfig) -> None:
         hydra_config = HydraConfig.get()
         try:
-            cell = config.build(
+            cell = composing.make_cell(
                 cfg, dict(hydra_config.runtime.choices), overrides=list(hydra_config.overrides.task)
             )
         except UserError as error:  # through Hydra it would arrive with a preamble
@@ -168,7 +168,10 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
 
     out = done.out
     rate = f", {done.computed / done.seconds:,.0f}/s" if done.computed else ""
-    print(f"{len(cells)} cells: {done.computed} replications x estimators computed, {done.reused} reused, {done.seconds:.1f} s{rate}")
+    print(
+        f"{len(cells)} cells: {done.computed} replications x estimators computed, "
+        f"{done.reused} reused, {done.seconds:.1f} s{rate}"
+    )
     summary = pd.read_parquet(out / "summary.parquet")
     mine = summary[summary["cell"].isin([c.id for c in cells])]
     table = pd.read_parquet(out / "cells.parquet")
@@ -192,7 +195,9 @@ def reproduce(arguments: Sequence[str]) -> int:
 
     parser = _Parser(prog="aoabench reproduce", description="Regenerate the tables and figures of the studies.")
     parser.add_argument("study", nargs="*", help="all if none is named")
-    parser.add_argument("--scale", default="quick", choices=["quick", "paper"], help="replications: quick or the paper's")
+    parser.add_argument(
+        "--scale", default="quick", choices=["quick", "paper"], help="replications: quick or the paper's"
+    )
     parser.add_argument("--only", metavar="ITEM", help="one table or figure, e.g. table1")
     parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
     given = parser.parse_args(list(arguments))
@@ -216,7 +221,7 @@ def report(arguments: Sequence[str]) -> int:
 
 def compare(arguments: Sequence[str]) -> int:
     """`aoabench compare`: paired differences between the estimators of each cell."""
-    from aoabench import statistics, store
+    from aoabench import statistics, tables
     from aoabench.config import did_you_mean
 
     parser = _Parser(prog="aoabench compare", description="Paired comparison of estimators over the replications.")
@@ -224,7 +229,7 @@ def compare(arguments: Sequence[str]) -> int:
     parser.add_argument("--baseline", help="estimator to compare with (default: the best of each cell)")
     parser.add_argument("--metric", default="rmse_3d_m", help="column of the replications table (default: rmse_3d_m)")
     given = parser.parse_args(list(arguments))
-    frame = store.load(given.run)
+    frame = tables.load(given.run)
     numeric = [c for c in frame.select_dtypes("number").columns if c != "replication"]
     if given.metric not in numeric:
         hint = did_you_mean(given.metric, numeric) or f"; allowed: {', '.join(numeric)}"
@@ -238,14 +243,20 @@ def compare(arguments: Sequence[str]) -> int:
         means = wide.mean().sort_values()
         base = given.baseline if given.baseline in wide else means.index[0]
         first = rows.iloc[0]
-        print(f"\n{first['scenario']} {first['noise']} (cell {cell}), {given.metric}, compared with {base} = {means[base]:.4g}")
+        print(
+            f"\n{first['scenario']} {first['noise']} (cell {cell}), {given.metric}, "
+            f"compared with {base} = {means[base]:.4g}"
+        )
         for name in means.index:
             if name == base:
                 continue
             pair = statistics.paired(wide[name], wide[base])
             low, high = pair.percent_interval()
             says = "no difference seen" if low <= 0 <= high else "larger" if low > 0 else "smaller"
-            print(f"  {name:24s} {pair.percent.value:+8.2f} %  [{low:+.2f}, {high:+.2f}]  p = {pair.p_value:.2g}  N = {pair.n}  {says}")
+            print(
+                f"  {name:24s} {pair.percent.value:+8.2f} %  [{low:+.2f}, {high:+.2f}]  "
+                f"p = {pair.p_value:.2g}  N = {pair.n}  {says}"
+            )
     return 0
 
 

@@ -50,8 +50,10 @@ def root_mean_square(error: Array, accepted: np.ndarray) -> Array:
 
 def nees(error: Array, covariance: Array) -> Array:
     """Normalised estimation error squared e^T P^-1 e (R, T) of errors (R, T, 3) m with covariances (R, T, 3, 3) m^2."""
-    usable = np.isfinite(error).all(-1) & np.isfinite(covariance).all((-1, -2)) & (np.linalg.det(covariance) > 0)
+    usable: np.ndarray = np.asarray(np.isfinite(error).all(-1) & np.isfinite(covariance).all((-1, -2)))
     P = np.where(usable[..., None, None], covariance, np.eye(3))
+    usable &= np.linalg.det(P) > 0
+    P = np.where(usable[..., None, None], P, np.eye(3))
     e = np.where(usable[..., None], error, 0.0)
     value = (e[..., None, :] @ np.linalg.solve(P, e[..., None]))[..., 0, 0]
     return np.where(usable, value, np.nan)

@@ -85,7 +85,10 @@ def _run_one(draws: Draws, estimator: Any, start: int, stop: int, steps: bool) -
         if steps:
             detail = {k: v[keep].ravel() for k, v in metrics.per_step(estimates, position).items()}
             T = position.shape[1]
-            index = {"replication": np.repeat(rows["replication"], T), "step": np.tile(np.arange(T), len(rows["replication"]))}
+            index = {
+                "replication": np.repeat(rows["replication"], T),
+                "step": np.tile(np.arange(T), len(rows["replication"])),
+            }
             detail = {**index, **detail}
         blocks.append((rows, detail))
     return _join([b[0] for b in blocks]), _join([b[1] for b in blocks if b[1] is not None]) if steps else None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aoabench import montecarlo, store
+from aoabench import montecarlo, store, tables
 from aoabench.config import construct, did_you_mean
 from aoabench.types import UserError
 
@@ -18,7 +18,7 @@ def replay(run: Path, replication: int, estimator: str, cell: str | None = None)
     """
     if not (run / "cells").is_dir():
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
-    records = {r["cell"]: r for r in store.records(run)}
+    records = {r["cell"]: r for r in tables.records(run)}
     if cell is None and len(records) > 1:
         raise UserError(f"--cell: this run has several; allowed: {', '.join(records)}")
     cell = cell or next(iter(records))

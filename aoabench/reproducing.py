@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from aoabench import runner, store
-from aoabench.config import compose_cells, did_you_mean
+from aoabench import runner, store, tables
+from aoabench.composing import compose_cells
+from aoabench.config import did_you_mean
 from aoabench.report import page, study
 from aoabench.types import UserError
 
@@ -37,7 +38,9 @@ def reproduce(names: Sequence[str], scale: str, only: str | None, results: Path,
     items = [(s, item) for s in chosen for item in s.items if only is None or item.name == only]
     if only is not None and not items:
         present = [item.name for s in chosen for item in s.items]
-        raise UserError(f"--only={only}: unknown item{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}")
+        raise UserError(
+            f"--only={only}: unknown item{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}"
+        )
     runner.writable(str(results))
     for s, item in items:
         begin = time.perf_counter()
@@ -56,8 +59,11 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
     out = results / "raw" / item.experiment
     cells = compose_cells([f"experiment={item.experiment}", f"reps={item.reps[scale]}", f"runner.out={out}"])
     runner.run(cells)
-    frame = store.load(out)
-    return reduce(frame[frame["cell"].isin([c.id for c in cells])]), {"experiment": item.experiment, "cells": [c.config for c in cells]}
+    frame = tables.load(out)
+    return reduce(frame[frame["cell"].isin([c.id for c in cells])]), {
+        "experiment": item.experiment,
+        "cells": [c.config for c in cells],
+    }
 
 
 def draw(names: Sequence[str], results: Path, echo: Echo, only: set[str] | None = None) -> None:

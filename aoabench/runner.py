@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from aoabench import montecarlo, store
+from aoabench import montecarlo, store, tables
 from aoabench.config import Cell
 from aoabench.types import UserError
 
@@ -63,8 +63,8 @@ def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     computed = sum(task.size for task in tasks)
     _compute(tasks, out, progress)
     for cell in cells:
-        store.record_cell(out, cell, keys[cell.id], _timing(cell, keys[cell.id], out))
-    store.collect(out, {cell.id for cell in cells})
+        tables.record_cell(out, cell, keys[cell.id], _timing(cell, keys[cell.id], out))
+    tables.collect(out, {cell.id for cell in cells})
     return RunReport(out, computed, wanted - computed, time.perf_counter() - begin)
 
 
@@ -77,7 +77,9 @@ def writable(folder: str) -> Path:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise UserError(f"runner.out={folder!r} cannot be written: {error.strerror}; allowed: a writable folder") from None
+        raise UserError(
+            f"runner.out={folder!r} cannot be written: {error.strerror}; allowed: a writable folder"
+        ) from None
     return path
 
 
@@ -164,7 +166,7 @@ def _bar(total: int, shown: bool) -> Iterator[Any]:
 
 def _timing(cell: Cell, keys: Mapping[str, str], out: Path) -> dict[str, Any]:
     """Serial timings of the cell's estimators; those noted for the same key are kept."""
-    timing = store.known_timing(out, cell.id, keys)
+    timing = tables.known_timing(out, cell.id, keys)
     fresh = {name: e for name, e in cell.estimators.items() if name not in timing}
     measured = montecarlo.time_estimators(cell.scenario, cell.noise, fresh, cell.seed) if fresh else {}
     for name, (seconds, replications, steps) in measured.items():

@@ -5,7 +5,8 @@ import os
 import pytest
 
 from aoabench import config
-from aoabench.config import compose_cells, construct, resolve
+from aoabench.composing import compose_cells
+from aoabench.config import construct, resolve
 from aoabench.types import UserError
 
 
@@ -58,10 +59,16 @@ def test_bad_nodes_are_refused(node):
 
 
 MALICIOUS = {
-    "callback": ("experiment/x.yaml", "# @package _global_\nhydra:\n  callbacks:\n    evil: {_target_: os.system, command: touch HIT}\n"),
+    "callback": (
+        "experiment/x.yaml",
+        "# @package _global_\nhydra:\n  callbacks:\n    evil: {_target_: os.system, command: touch HIT}\n",
+    ),
     "launcher": ("experiment/x.yaml", "# @package _global_\nhydra:\n  launcher: {_target_: os.system}\n"),
     "launcher default": ("experiment/x.yaml", "# @package _global_\ndefaults:\n  - override /hydra/launcher: evil\n"),
-    "package header": ("experiment/x.yaml", "# @package hydra.callbacks\nevil: {_target_: os.system, command: touch HIT}\n"),
+    "package header": (
+        "experiment/x.yaml",
+        "# @package hydra.callbacks\nevil: {_target_: os.system, command: touch HIT}\n",
+    ),
     "package in defaults": ("experiment/x.yaml", "defaults:\n  - /noise@hydra.callbacks.evil: y\n"),
     "search path": ("experiment/x.yaml", "# @package _global_\nhydra:\n  searchpath: [file:///tmp]\n"),
     "own hydra group": ("hydra/callbacks/x.yaml", "evil: {_target_: os.system, command: touch HIT}\n"),

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 import aoabench
-from aoabench import runner, store
-from aoabench.config import compose_cells
+from aoabench import runner, store, tables
+from aoabench.composing import compose_cells
 
 BASE = ["noise=ae_flip", "filter=[ekf_vmf,ukf_ae_adaptive]"]
 
@@ -84,7 +84,9 @@ def test_a_further_estimator_joins_the_cell(tmp_path):
 
 
 def test_a_changed_parameter_is_another_cell_and_its_column(tmp_path):
-    frame = aoabench.run("filter=[ukf_vmf,ekf_vmf]", "filter.ukf_vmf.lambda_=0.5,1", "noise.sigma_deg=4,8", "reps=20", out=tmp_path)
+    frame = aoabench.run(
+        "filter=[ukf_vmf,ekf_vmf]", "filter.ukf_vmf.lambda_=0.5,1", "noise.sigma_deg=4,8", "reps=20", out=tmp_path
+    )
     assert frame["cell"].nunique() == 4
     assert set(frame["noise.sigma_deg"]) == {4, 8}
     assert set(frame["filter.ukf_vmf.lambda_"].dropna()) == {1}
@@ -108,7 +110,14 @@ def test_layout_variants_share_their_draws():
 def test_seeds_and_roles_give_different_draws():
     from aoabench.streams import generator
 
-    keys = [(1, "a", 0, 0, 0), (2, "a", 0, 0, 0), (1, "b", 0, 0, 0), (1, "a", 1, 0, 0), (1, "a", 0, 1, 0), (1, "a", 0, 3, 1)]
+    keys = [
+        (1, "a", 0, 0, 0),
+        (2, "a", 0, 0, 0),
+        (1, "b", 0, 0, 0),
+        (1, "a", 1, 0, 0),
+        (1, "a", 0, 1, 0),
+        (1, "a", 0, 3, 1),
+    ]
     draws = [tuple(generator(*k).random(4)) for k in keys]
     assert len(set(draws)) == len(keys)
     assert draws[0] == tuple(generator(*keys[0]).random(4))
@@ -127,7 +136,7 @@ def test_tables_follow_the_documented_schemas(reference):
     assert len(steps) == 64 * len(frame)
     summary = pd.read_parquet(reference / "summary.parquet").set_index("estimator")
     timing = pd.read_parquet(reference / "timing.parquet")
-    assert list(timing.columns) == list(store.TIMING)
+    assert list(timing.columns) == list(tables.TIMING)
     assert (timing["seconds_per_step"] > 0).all()
     for name, group in steps.groupby("estimator"):
         mine = frame[frame["estimator"] == name].set_index("replication")
@@ -169,9 +178,21 @@ def keys_of(*overrides):
 
 def test_keys_depend_on_what_numbers_depend_on_and_nothing_else():
     base = keys_of()
-    for same in (["reps=7"], ["runner.n_jobs=1"], ["store.steps=true"], ["runner.out=/tmp/x"], ["filter=[ukf_ae_adaptive,ekf_vmf]"]):
+    for same in (
+        ["reps=7"],
+        ["runner.n_jobs=1"],
+        ["store.steps=true"],
+        ["runner.out=/tmp/x"],
+        ["filter=[ukf_ae_adaptive,ekf_vmf]"],
+    ):
         assert set(keys_of(*same)) == set(base)
-    for other in (["seed=2"], ["noise=vmf"], ["noise.sigma_deg=9"], ["scenario=square_track_far"], ["scenario.steps=63"]):
+    for other in (
+        ["seed=2"],
+        ["noise=vmf"],
+        ["noise.sigma_deg=9"],
+        ["scenario=square_track_far"],
+        ["scenario.steps=63"],
+    ):
         assert not set(keys_of(*other)) & set(base)
     mine = keys_of("filter.ekf_vmf.measurement.kappa=40")
     assert mine[0] != base[0]
@@ -212,9 +233,13 @@ def test_source_hash_of_a_filter_covers_what_it_imports_but_no_plot():
         with open(sys.modules[name].__file__, "rb") as file:
             return file.read()
 
-    import aoabench.report.study
-
-    for name in ("aoabench.filters.kalman", "aoabench.montecarlo", "aoabench.geometry", "aoabench.metrics", "aoabench.types"):
+    for name in (
+        "aoabench.filters.kalman",
+        "aoabench.montecarlo",
+        "aoabench.geometry",
+        "aoabench.metrics",
+        "aoabench.types",
+    ):
         assert source(name) in texts
     for name in ("aoabench.report.study", "aoabench.store", "aoabench.runner"):
         assert source(name) not in texts
@@ -292,9 +317,17 @@ def test_one_file_and_one_yaml_add_an_estimator(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_origin.py").write_text(PLUGIN)
     (tmp_path / "conf" / "estimator").mkdir(parents=True)
-    (tmp_path / "conf" / "estimator" / "origin.yaml").write_text("# Mine\norigin:\n  _target_: my_origin.Origin\n  height_m: 0\n")
+    (tmp_path / "conf" / "estimator" / "origin.yaml").write_text(
+        "# Mine\norigin:\n  _target_: my_origin.Origin\n  height_m: 0\n"
+    )
     frame = aoabench.run(
-        "estimator=[origin]", "filter=[ekf_vmf]", "reps=300", "runner.n_jobs=2", out="out", config_dir="conf", plugins=["my_origin"]
+        "estimator=[origin]",
+        "filter=[ekf_vmf]",
+        "reps=300",
+        "runner.n_jobs=2",
+        out="out",
+        config_dir="conf",
+        plugins=["my_origin"],
     )
     assert frame.groupby("estimator").size().to_dict() == {"ekf_vmf": 300, "origin": 300}
     with pytest.raises(aoabench.UserError, match="plugins"):

@@ -45,7 +45,7 @@ class _Kalman:
                 means.append(x[:, :3])
                 covariances.append(P[:, :3, :3])
         position, covariance = np.stack(means, axis=1), np.stack(covariances, axis=1)
-        finite = np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2))
+        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
         return Estimates(position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8))
 

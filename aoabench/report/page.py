@@ -24,7 +24,7 @@ def write(everything: list[studies.Study], verdicts: pd.DataFrame, results: Path
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     ).get_template("page.html.j2")
-    rows = verdicts.to_dict("records")
+    rows: list[dict[str, Any]] = [{str(k): v for k, v in row.items()} for row in verdicts.to_dict("records")]
     for row in rows:
         row["ours_text"] = studies.number_text(row["ours"], row["se"])
     html = template.render(

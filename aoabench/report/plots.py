@@ -19,7 +19,9 @@ LABELS = {"vmf": "VMF", "ae_nominal": "AE-nominal", "ae_fitted": "AE-fitted", "a
 MARKERS = {"vmf": "o", "ae_nominal": "s", "ae_fitted": "D", "ae_adaptive": "^"}
 
 
-def new(width: float = COLUMN, height: float | None = None, rows: int = 1, cols: int = 1, **kwargs: Any) -> tuple[Figure, Any]:
+def new(
+    width: float = COLUMN, height: float | None = None, rows: int = 1, cols: int = 1, **kwargs: Any
+) -> tuple[Figure, Any]:
     """A figure and its axes in the house style, `width` and `height` in inches."""
     import matplotlib
 
@@ -51,7 +53,14 @@ def boxes(axis: Any, groups: list[Any], positions: list[float], colours: list[st
     The box spans 25..75 %, the line is the median, whiskers reach 5 and 95 %, asterisks mark minimum and maximum.
     """
     statistics = [
-        {"med": g["q50"], "q1": g["q25"], "q3": g["q75"], "whislo": g["q05"], "whishi": g["q95"], "fliers": [g["minimum"], g["maximum"]]}
+        {
+            "med": g["q50"],
+            "q1": g["q25"],
+            "q3": g["q75"],
+            "whislo": g["q05"],
+            "whishi": g["q95"],
+            "fliers": [g["minimum"], g["maximum"]],
+        }
         for g in groups
     ]
     drawn = axis.bxp(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from aoabench import statistics, store
+from aoabench import statistics
 from aoabench.statistics import Estimate
 from aoabench.types import UserError
 
@@ -53,7 +53,7 @@ class Study:
 
     @property
     def figures(self) -> ModuleType:
-        """figures.py: per item a function of the table that draws it, and one (`NAME_values`) that reads its numbers."""
+        """figures.py: per item a function of its table that draws it, and one, NAME_values, that reads its numbers."""
         return _module(self.folder / "figures.py")
 
 
@@ -87,7 +87,8 @@ def load(name: str) -> Study:
 def _module(file: Path) -> ModuleType:
     name = f"aoabench_experiments_{file.parent.name}_{file.stem}"
     spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)
@@ -165,7 +166,12 @@ def _judge(study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate,
     theirs = [found[e["id"]][0].value for e in group if e["id"] in found]
     in_kind = bool(group) and len(theirs) == len(group) and statistics.same_order([e["printed"] for e in group], theirs)
     verdict = statistics.verdict(
-        limits, entry.get("rounding", 0.0), ours, printed_se=sampling, in_kind=in_kind, strict=entry.get("strict", False)
+        limits,
+        entry.get("rounding", 0.0),
+        ours,
+        printed_se=sampling,
+        in_kind=in_kind,
+        strict=entry.get("strict", False),
     )
     return {
         "study": study.name,
@@ -208,12 +214,21 @@ def verdict_text(rows: pd.DataFrame) -> str:
     if not len(rows):
         return "no printed numbers"
     shown = [
-        (r.study, r.item, r.what, r.printed, f"{number_text(r.ours, r.se)} {r.unit}".strip(), r.verdict)
-        for r in rows.itertuples()
+        (
+            r["study"],
+            r["item"],
+            r["what"],
+            r["printed"],
+            f"{number_text(r['ours'], r['se'])} {r['unit']}".strip(),
+            r["verdict"],
+        )
+        for r in rows.to_dict("records")
     ]
     head = ("study", "item", "quantity", "printed", "ours ± s.e.", "verdict")
     widths = [max(len(str(line[i])) for line in [head, *shown]) for i in range(len(head))]
     lines = ["  ".join(str(cell).ljust(w) for cell, w in zip(line, widths)).rstrip() for line in [head, *shown]]
     counts = rows["verdict"].value_counts()
     total = ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", f"{len(rows)} printed numbers and claims: {total}"])
+    return "\n".join(
+        [lines[0], "-" * len(lines[0]), *lines[1:], "", f"{len(rows)} printed numbers and claims: {total}"]
+    )

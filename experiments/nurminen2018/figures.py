@@ -27,7 +27,8 @@ def _split(estimator: str) -> tuple[str, str]:
 def table1_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
     """Shares and fitted parameters with the number of samples behind them."""
     return {
-        f"table1/{r.data}/{r.model}/{r.quantity}": (Estimate(r.value, r.se), float(r.samples)) for r in frame.itertuples()
+        f"table1/{r.data}/{r.model}/{r.quantity}": (Estimate(r.value, r.se), float(r.samples))
+        for r in frame.itertuples()
     }
 
 
@@ -120,7 +121,7 @@ def frames(frame: pd.DataFrame) -> Figure:
             rows["rmse_mean_3d_m"], y, xerr=3 * rows["se_m"], fmt=marker, capsize=2, elinewidth=0.8,
             label=f"roll, pitch, yaw {turn} deg",
         )  # fmt: skip
-    axis.set_yticks(range(len(estimators)), ["{}-{}".format(f, LABELS[m]) for f, m in map(_split, estimators)])
+    axis.set_yticks(range(len(estimators)), [f"{f}-{LABELS[m]}" for f, m in map(_split, estimators)])
     axis.set(xlabel="mean 3-D RMSE [m]", xlim=(0, None))
     axis.grid(axis="y", visible=False)
     figure.legend(loc="outside upper center", ncols=3, title="anchor frames turned by")
@@ -150,7 +151,7 @@ def kalman(frame: pd.DataFrame) -> Figure:
         axis.axvline(0, color="black", lw=0.8, ls=":")
         axis.set_title(TITLES[noise])
         axis.set(xlabel="RMSE difference from UKF-VMF [%]")
-        axis.set_yticks(range(len(names)), ["{}-{}".format(f, LABELS[m]) for f, m in map(_split, names)])
+        axis.set_yticks(range(len(names)), [f"{f}-{LABELS[m]}" for f, m in map(_split, names)])
     return figure
 
 

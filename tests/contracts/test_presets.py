@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from aoabench.config import compose_cells, options
+from aoabench.composing import compose_cells
+from aoabench.config import options
 from aoabench.montecarlo import Draws, estimate_tile, run_block, tile_of
 from aoabench.types import Outcome
 
@@ -30,7 +31,7 @@ def test_every_estimator_keeps_the_contract(group, name, noise):
     estimator = cell.estimators[name]
     truth, e = estimate_tile(Draws(cell.scenario, cell.noise, 1), estimator, 0)
     R, T = truth.shape[:2]
-    assert R == tile_of(estimator)
+    assert tile_of(estimator) == R
     assert e.position.shape == (R, T, 3)
     assert e.outcome.shape == (R, T)
     assert set(np.unique(e.outcome)) <= set(Outcome)
@@ -57,6 +58,8 @@ def test_every_experiment_composes(experiment):
 
 
 def test_the_names_that_users_type_exist():
-    assert {f"{a}_{b}" for a in ("ekf", "ukf") for b in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")} <= set(options("filter"))
+    assert {f"{a}_{b}" for a in ("ekf", "ukf") for b in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")} <= set(
+        options("filter")
+    )
     assert {"ae_normal", "ae_flip", "vmf"} <= set(options("noise"))
     assert "square_track" in options("scenario")

@@ -182,7 +182,10 @@ def test_figure_1_equals_direct_simulation():
         assert np.all(np.abs(square - exact**2) < 5 * (error**2).std(axis=1) / np.sqrt(n))
 
 
-@pytest.mark.parametrize("noise", [NormalAngles(7.0), FlippedAngles(10.0), FlippedAngles(40.0), VonMisesFisher(10.0), VonMisesFisher(kappa=3.0)])
+@pytest.mark.parametrize(
+    "noise",
+    [NormalAngles(7.0), FlippedAngles(10.0), FlippedAngles(40.0), VonMisesFisher(10.0), VonMisesFisher(kappa=3.0)],
+)
 def test_fitted_deviations_equal_simulation(noise):
     """Within 4 standard errors of 1e6 draws, 2 numbers a noise: false alarm 6e-4."""
     rng, n = np.random.default_rng(5), 1_000_000

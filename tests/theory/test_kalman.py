@@ -10,7 +10,7 @@ from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, BadValue, Outcome
+from aoabench.types import Anchors, BadValue, Batch, Outcome
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,9 @@ def corrected_algorithm_3(h, x, P, y, r, anchors, lambda_=0.5):
     return x + K @ h.residual(y, mu), P - K @ S @ K.T
 
 
-@pytest.mark.parametrize(("make", "slow"), [(EKF, corrected_algorithm_2), (UKF, corrected_algorithm_3)], ids=["ekf", "ukf"])
+@pytest.mark.parametrize(
+    ("make", "slow"), [(EKF, corrected_algorithm_2), (UKF, corrected_algorithm_3)], ids=["ekf", "ukf"]
+)
 @pytest.mark.parametrize("h", [AzEl(sigma_deg=5.0), UnitVector(kappa=100.0)], ids=["azel", "unit vector"])
 def test_updates_equal_the_printed_algorithms_with_errata(make, slow, h, rng):
     """The small-space form against the printed gain form, tolerance 1e-9."""
@@ -209,7 +211,9 @@ def test_forms_of_the_adaptive_ukf_differ_near_a_pole():
     anchors = Anchors(np.zeros((1, 1, 3)), np.eye(3)[None, None])
     x, P = np.array([[0.3, -0.3, -2.0]]), 0.5 * np.eye(3)[None]
     y = np.array([[-np.pi, -9 * np.pi / 20]])
-    means = [UKF(h, form=form).update(x, P, y, np.ones((1, 2)), anchors)[0] for form in ("averaged", "centre", "augmented")]
+    means = [
+        UKF(h, form=form).update(x, P, y, np.ones((1, 2)), anchors)[0] for form in ("averaged", "centre", "augmented")
+    ]
     assert not np.allclose(means[0], means[1], atol=1e-3)
     assert not np.allclose(means[0], means[2], atol=1e-3)
 

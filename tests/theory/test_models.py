@@ -11,7 +11,14 @@ from aoabench.noise.angular import FlippedAngles, VonMisesFisher
 from aoabench.types import Anchors, BadValue, Batch
 
 NOISE = FlippedAngles(10.0)
-MODELS = [AzEl(), AzEl(sigma_deg=7.0), AzElFitted(noise=NOISE), AzElAdaptive(noise=NOISE), UnitVector(), UnitVector(kappa=20.0)]
+MODELS = [
+    AzEl(),
+    AzEl(sigma_deg=7.0),
+    AzElFitted(noise=NOISE),
+    AzElAdaptive(noise=NOISE),
+    UnitVector(),
+    UnitVector(kappa=20.0),
+]
 
 
 def make_anchors(rng, B=4):
@@ -135,7 +142,11 @@ def test_adaptive_deviations_follow_the_table_of_model_1():
 
 
 def test_fitted_deviations_printed_and_own():
-    for noise, printed in ((FlippedAngles(10.0), 18), (VonMisesFisher(10.0), 21), (VonMisesFisher(kappa=1 / np.deg2rad(10) ** 2), 21)):
+    for noise, printed in (
+        (FlippedAngles(10.0), 18),
+        (VonMisesFisher(10.0), 21),
+        (VonMisesFisher(kappa=1 / np.deg2rad(10) ** 2), 21),
+    ):
         assert np.allclose(np.rad2deg(AzElFitted(noise=noise).sigmas()), [printed, 10])
         assert np.allclose(AzElFitted(noise=noise, fit="own").sigmas(), noise.fitted())
     elsewhere = FlippedAngles(5.0)

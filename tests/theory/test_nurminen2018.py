@@ -8,7 +8,7 @@ import yaml
 
 from aoabench import directional as d
 from aoabench import geometry as g
-from aoabench.config import compose_cells
+from aoabench.composing import compose_cells
 from aoabench.models.azel import AzEl, AzElAdaptive, adaptive_table
 from aoabench.models.unit_vector import UnitVector
 from aoabench.montecarlo import run_block
@@ -107,7 +107,11 @@ def test_elevation_limits_must_be_plus_minus_half_pi():
 # --- Figure 2 ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("h", [UnitVector(kappa=(36 / np.pi) ** 2), AzEl(sigma_deg=5.0), AzElAdaptive(noise=FlippedAngles(5.0))], ids=["vmf", "ae", "adaptive"])
+@pytest.mark.parametrize(
+    "h",
+    [UnitVector(kappa=(36 / np.pi) ** 2), AzEl(sigma_deg=5.0), AzElAdaptive(noise=FlippedAngles(5.0))],
+    ids=["vmf", "ae", "adaptive"],
+)
 def test_exact_posterior_converges_under_refinement(h):
     """Doubling the nodes changes the mean by less than 1 mm (adaptive: the table's steps are of one degree, 5 mm)."""
     coarse, fine = (STUDY.numbers.exact_mean(h, nodes) for nodes in (120, 240))
@@ -203,7 +207,16 @@ def test_prior_mean_is_drawn_once_per_replication_around_the_true_start(track):
 
 def test_turning_anchor_frames_leaves_vmf_filters_alone_and_changes_ae_filters():
     """Paired over 512 replications: VMF changes stay within 4 standard errors (4 tests, 3e-4), AE's exceed 10."""
-    names = ["ekf_ae_nominal", "ekf_ae_fitted", "ekf_ae_adaptive", "ekf_vmf", "ukf_ae_nominal", "ukf_ae_fitted", "ukf_ae_adaptive", "ukf_vmf"]
+    names = [
+        "ekf_ae_nominal",
+        "ekf_ae_fitted",
+        "ekf_ae_adaptive",
+        "ekf_vmf",
+        "ukf_ae_nominal",
+        "ukf_ae_fitted",
+        "ukf_ae_adaptive",
+        "ukf_vmf",
+    ]
     rmse = {}
     for turn in ("[0,0,0]", "[30,40,50]", "[90,0,0]"):
         c = compose_cells(["noise=vmf", f"filter=[{','.join(names)}]", f"scenario.anchors.frame_rpy_deg={turn}"])

@@ -1,0 +1,141 @@
+"""Studies, verdict rows, figures and page: everything shown comes from the stored tables."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aoabench import reproducing, store
+from aoabench.report import study
+from aoabench.report.study import number_text, printed_text
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("results")
+    said = []
+    for item in ("table1", "fig1", "fig2"):
+        reproducing.reproduce(["nurminen2018"], "quick", item, folder, said.append)
+    return folder, "\n".join(said)
+
+
+def test_reproduce_writes_tables_figures_page_and_verdicts(results):
+    folder, said = results
+    for item in ("table1", "fig1", "fig2"):
+        path = folder / "tables" / f"nurminen2018_{item}.parquet"
+        assert len(pd.read_parquet(path))
+        origin = store.read_provenance(path)
+        assert origin["scale"] == "quick"
+        assert origin["libraries"]["numpy"]
+    assert (folder / "figures" / "nurminen2018_fig1.png").stat().st_size > 10_000
+    assert not (folder / "figures" / "nurminen2018_table1.png").exists(), "a table, not a figure"
+    for word in ("verdict", "reproduced", "tables", "figures", "page", "index.html"):
+        assert word in said
+
+
+def test_verdicts_come_from_the_tables(results, tmp_path):
+    folder, _ = results
+    s = study.load("nurminen2018")
+    rows = study.verdicts([s], folder).set_index("id")
+    assert len(rows) == len(s.printed)
+    shares = rows[rows.index.str.endswith("/share")]
+    assert len(shares) == 8
+    assert (shares["verdict"] == "reproduced").all()
+    assert rows.loc["table1/model1/ae_fitted/sigma_azimuth_deg", "verdict"] == "reproduced"
+    wrong = rows.loc["table1/model2/ae_fitted/sigma_azimuth_deg"]
+    assert (wrong["verdict"], wrong["printed"]) == ("not reproducible", "21")
+    assert "N12" in wrong["reason"]
+    assert rows.loc["frames/ekf_vmf", "verdict"] == "not computed"
+    nothing = study.verdicts([s], tmp_path)
+    assert set(nothing["verdict"]) == {"not computed"}
+
+
+def test_a_changed_table_changes_the_verdict(results, tmp_path):
+    folder, _ = results
+    s = study.load("nurminen2018")
+    frame = pd.read_parquet(folder / "tables" / "nurminen2018_table1.parquet")
+    frame.loc[(frame["data"] == "model1") & (frame["model"] == "vmf") & (frame["quantity"] == "share"), "value"] = 0.9
+    store.write_frame(tmp_path / "tables" / "nurminen2018_table1.parquet", frame)
+    rows = study.verdicts([s], tmp_path).set_index("id")
+    assert rows.loc["table1/model1/vmf/share", "verdict"] == "not reproducible"
+
+
+def test_page_holds_printed_and_our_numbers_and_says_what_is_not_computed(results):
+    folder, _ = results
+    html = (folder / "report" / "index.html").read_text()
+    rows = study.verdicts([study.load("nurminen2018")], folder)
+    for r in rows.itertuples():
+        assert number_text(r.ours, r.se) in html
+    assert html.count("data:image/png;base64,") == 2
+    assert "Not computed." in html
+    assert "not computed" in html
+    assert "http://" not in html.replace("http://www.w3.org", "")
+    assert 'src="http' not in html
+    assert "N12" in html
+
+
+def test_printed_ids_are_found_by_the_figures_of_a_full_run():
+    """Every id in printed.yaml is one that figures.py can give, on tables with made-up numbers."""
+    s = study.load("nurminen2018")
+    names = [f"{a}_{m}" for a in ("ekf", "ukf") for m in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")]
+    made_up = {
+        "frames": pd.DataFrame([
+            {"estimator": n, "frame_rpy_deg": f, "rmse_mean_3d_m": 1.0, "se_m": 0.1, "change_percent": 2.0, "change_se": 1.0}
+            for n in names for f in ("[0, 0, 0]", "[90, 0, 0]")
+        ]),
+        "kalman": pd.DataFrame([
+            {"noise": z, "estimator": n, "above_own_vmf_percent": 1.0, "above_own_vmf_se": 0.1}
+            for z in ("ae_flip", "vmf") for n in names
+        ]),
+        "table1": s.numbers.table1("quick"), "fig1": s.numbers.fig1("quick"), "fig2": s.numbers.fig2("quick"),
+    }  # fmt: skip
+    found = {key for name, frame in made_up.items() for key in getattr(s.figures, f"{name}_values")(frame)}
+    assert {e["id"] for e in s.printed} <= found
+
+
+def test_figure_1_draws_the_tables_numbers(results):
+    from aoabench.report import plots
+
+    frame = pd.read_parquet(results[0] / "tables" / "nurminen2018_fig1.parquet")
+    figure = study.load("nurminen2018").figures.fig1(frame)
+    line = figure.axes[0].lines[0]
+    assert np.array_equal(line.get_xdata(), frame["elevation_deg"])
+    assert np.array_equal(line.get_ydata(), frame["azimuth_deg"])
+    for axis in figure.axes:
+        assert "[deg]" in axis.get_xlabel()
+        assert "[deg]" in axis.get_ylabel()
+    assert plots.COLOURS.keys() == plots.LABELS.keys() == plots.MARKERS.keys()
+
+
+def test_box_levels_are_the_papers():
+    import matplotlib.pyplot as plt
+
+    from aoabench.report.plots import boxes
+
+    figure, axis = plt.subplots()
+    boxes(axis, [{"q05": 1, "q25": 2, "q50": 3, "q75": 4, "q95": 5, "minimum": 0, "maximum": 9}], [0], ["#000000"])
+    (box,) = axis.patches
+    x = box.get_path().vertices[:, 0]
+    assert (x.min(), x.max()) == (2, 4)
+    drawn = [tuple(line.get_xdata()) for line in axis.lines]
+    assert (3, 3) in drawn
+    assert (0, 9) in drawn
+    assert {min(d) for d in drawn} | {max(d) for d in drawn} >= {1, 5}
+    plt.close(figure)
+
+
+@pytest.mark.parametrize(("value", "se", "text"), [
+    (0.123456, 0.0021, "0.1235 ± 0.0021"),
+    (1234.5, 30.0, "1234 ± 30"),
+    (0.5, 0.0, "0.5"),
+    (float("nan"), float("nan"), "-"),
+    (10.04, 0.96, "10.04 ± 0.96"),
+    (10.04, 1.2, "10.0 ± 1.2"),
+])  # fmt: skip
+def test_numbers_show_the_digits_that_their_errors_support(value, se, text):
+    assert number_text(value, se) == text
+
+
+def test_printed_numbers_keep_their_digits():
+    assert printed_text(0.3, 0.005) == "0.30"
+    assert printed_text(21, 0.5) == "21"
+    assert printed_text(None, 0.0) == "-"
