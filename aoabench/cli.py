@@ -193,6 +193,8 @@ def reproduce(arguments: Sequence[str]) -> int:
     """`aoabench reproduce`: compute the items of the studies, then draw figures, tables and page."""
     from aoabench import reproducing
 
+    os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
+
     parser = _Parser(prog="aoabench reproduce", description="Regenerate the tables and figures of the studies.")
     parser.add_argument("study", nargs="*", help="all if none is named")
     parser.add_argument(
@@ -208,6 +210,8 @@ def reproduce(arguments: Sequence[str]) -> int:
 def report(arguments: Sequence[str]) -> int:
     """`aoabench report`: figures and page from the stored tables; nothing is simulated."""
     from aoabench import reproducing
+
+    os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
 
     parser = _Parser(prog="aoabench report", description="Draw figures and page again from the stored tables.")
     parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")

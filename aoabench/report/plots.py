@@ -23,9 +23,6 @@ def new(
     width: float = COLUMN, height: float | None = None, rows: int = 1, cols: int = 1, **kwargs: Any
 ) -> tuple[Figure, Any]:
     """A figure and its axes in the house style, `width` and `height` in inches."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     size = (width, height if height is not None else 0.72 * width)
@@ -34,9 +31,6 @@ def new(
 
 def save(make: Callable[[], Figure], path: Path, dpi: int = 200) -> Path:
     """Draw in the house style and write a PNG that depends on the data alone."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     with plt.style.context(str(Path(__file__).with_name("house.mplstyle"))):
