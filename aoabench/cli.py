@@ -198,7 +198,10 @@ def reproduce(arguments: Sequence[str]) -> int:
     parser = _Parser(prog="aoabench reproduce", description="Regenerate the tables and figures of the studies.")
     parser.add_argument("study", nargs="*", help="all if none is named")
     parser.add_argument(
-        "--scale", default="quick", choices=["quick", "paper"], help="replications: quick or the paper's"
+        "--scale",
+        default="quick",
+        choices=["quick", "medium", "paper"],
+        help="quick: minutes; medium: some 20; paper: the paper's counts",
     )
     parser.add_argument("--only", metavar="ITEM", help="one table or figure, e.g. table1")
     parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")

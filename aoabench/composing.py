@@ -51,10 +51,10 @@ def make_cell(
     except OmegaConfBaseException as error:
         raise UserError(_first_line(error)) from None
     raw: Any = OmegaConf.to_container(job, resolve=False)
-    return build(plain, dict(choices), overrides=overrides, changed=_changed(raw), extra=extra)
+    return build(plain, dict(choices), overrides=overrides, changed=_changed(raw, plain), extra=extra)
 
 
-def _changed(raw: Mapping[str, Any]) -> dict[str, Any]:
+def _changed(raw: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
     """Estimators' parameters, dotted, whose values differ from their presets' own."""
     from hydra import compose
     from omegaconf import OmegaConf
@@ -66,9 +66,10 @@ def _changed(raw: Mapping[str, Any]) -> dict[str, Any]:
             continue
         preset = compose("config", overrides=[f"{group}=[{','.join(names)}]"])
         default = dict(flatten(OmegaConf.to_container(preset[group], resolve=False), group))
+        resolved = dict(flatten(plain[group], group))
         for key, value in flatten(raw[group], group):
             if key not in default or default[key] != value:
-                changed[key] = value
+                changed[key] = resolved.get(key, value)
     return changed
 
 

@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 
 def wrap(angle: ArrayLike) -> Array:
     """Angle (...) rad brought into (-pi, pi]."""
-    a = np.pi - np.remainder(np.pi - np.asarray(angle, dtype=float), 2 * np.pi)
+    a = np.asarray(angle, dtype=float)
+    a = a - 2 * np.pi * np.rint(a / (2 * np.pi))
     return np.where(a <= -np.pi, np.pi, a)
 
 
@@ -25,22 +26,24 @@ def to_unit(azimuth: ArrayLike, elevation: ArrayLike) -> Array:
     return np.stack(np.broadcast_arrays(np.cos(azimuth) * c, np.sin(azimuth) * c, z), axis=-1)
 
 
-def to_azel(vector: ArrayLike) -> tuple[Array, Array]:
-    """Vectors (..., 3) of any length to azimuth and elevation (...) rad; azimuth 0 at an exact pole."""
-    v = np.asarray(vector, dtype=float) + 0.0  # -0.0 would turn the undefined azimuth of a pole into pi
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+def to_azel(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
+    """Components (...) of vectors of any length to azimuth and elevation (...) rad; azimuth 0 at an exact pole."""
+    x, y = np.asarray(x) + 0.0, np.asarray(y) + 0.0  # -0.0 would turn the undefined azimuth of a pole into pi
+    return np.arctan2(y, x), np.arctan2(z, np.sqrt(x * x + y * y))
 
 
-def in_frames(point: ArrayLike, position: Array, rotation: Array) -> Array:
-    """R_j (theta - s_j): points seen from each anchor, in the anchor's frame.
+def in_frames(point: ArrayLike, position: Array, rotation: Array) -> tuple[Array, Array, Array]:
+    """R_j (theta - s_j): points seen from each anchor, as x, y, z (R, ..., B) m in the anchor's frame.
 
-    point (R, ..., 3) m, position (R|1, B, 3) m, rotation (R|1, B, 3, 3) -> (R, ..., B, 3) m.
+    point (R, ..., 3) m, position (R|1, B, 3) m, rotation (R|1, B, 3, 3).
     """
     p = np.asarray(point, dtype=float)
-    R = rotations_for(p, rotation)
-    d = p[..., None, :] - position.reshape(position.shape[0], *(1,) * (p.ndim - 2), *position.shape[1:])
-    return (R[..., 0] * d[..., :1] + R[..., 1] * d[..., 1:2]) + R[..., 2] * d[..., 2:3]
+    axes = (1,) * (p.ndim - 2)
+    s = position.reshape(len(position), *axes, *position.shape[1:])
+    R = rotation.reshape(len(rotation), *axes, *rotation.shape[1:])
+    dx, dy, dz = (p[..., i, None] - s[..., i] for i in range(3))
+    x, y, z = (R[..., i, 0] * dx + R[..., i, 1] * dy + R[..., i, 2] * dz for i in range(3))
+    return x, y, z
 
 
 def rotations_for(point: Array, rotation: Array) -> Array:

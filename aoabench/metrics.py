@@ -27,7 +27,10 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
         columns[f"n_{name}"] = (outcome == Outcome[name.upper()]).sum(axis=1)
     nothing = np.full(len(outcome), np.nan)
     columns["iterations"] = nothing if estimates.iterations is None else _mean(estimates.iterations, accepted)
-    columns["nees"] = nothing if estimates.covariance is None else _mean(nees(error, estimates.covariance), accepted)
+    columns["nees"] = nothing
+    if estimates.covariance is not None:
+        value = nees(error, estimates.covariance)
+        columns["nees"] = _mean(value, accepted & np.isfinite(value))  # a singular covariance has none
     return columns
 
 
@@ -49,10 +52,13 @@ def root_mean_square(error: Array, accepted: np.ndarray) -> Array:
 
 
 def nees(error: Array, covariance: Array) -> Array:
-    """Normalised estimation error squared e^T P^-1 e (R, T) of errors (R, T, 3) m with covariances (R, T, 3, 3) m^2."""
+    """Normalised estimation error squared e^T P^-1 e (R, T) of errors (R, T, 3) m with covariances (R, T, 3, 3) m^2.
+
+    NaN where a covariance is singular to working precision (all weight on one particle, say) or an error is NaN.
+    """
     usable: np.ndarray = np.asarray(np.isfinite(error).all(-1) & np.isfinite(covariance).all((-1, -2)))
     P = np.where(usable[..., None, None], covariance, np.eye(3))
-    usable &= np.linalg.det(P) > 0
+    usable &= np.linalg.det(P) > (1e-9 * np.trace(P, axis1=-2, axis2=-1)) ** 3
     P = np.where(usable[..., None, None], P, np.eye(3))
     e = np.where(usable[..., None], error, 0.0)
     value = (e[..., None, :] @ np.linalg.solve(P, e[..., None]))[..., 0, 0]

@@ -55,12 +55,17 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
     """The table (a frame) of one item, and the config that it came from."""
     reduce = getattr(s.numbers, item.name)
     if item.experiment is None:
-        return reduce(scale), {"function": f"experiments/{s.name}/numbers.py:{item.name}", "scale": scale}
-    out = results / "raw" / item.experiment
-    cells = compose_cells([f"experiment={item.experiment}", f"reps={item.reps[scale]}", f"runner.out={out}"])
+        return reduce("quick" if scale == "quick" else "paper"), {
+            "function": f"experiments/{s.name}/numbers.py:{item.name}",
+            "scale": scale,
+        }
+    out = results / "raw" / s.name  # one folder a study: what two items need is computed once
+    cells = compose_cells([f"experiment={item.experiment}", *item.scale[scale], f"runner.out={out}"])
     runner.run(cells)
     frame = tables.load(out)
-    return reduce(frame[frame["cell"].isin([c.id for c in cells])]), {
+    wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
+    reps = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
+    return reduce(frame[frame["replication"] < reps]), {
         "experiment": item.experiment,
         "cells": [c.config for c in cells],
     }

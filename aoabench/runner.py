@@ -84,13 +84,12 @@ def writable(folder: str) -> Path:
 
 
 def _tasks(cell: Cell, keys: Mapping[str, str], out: Path) -> Iterator[Task]:
-    """Blocks of whole tiles; estimators that miss the same replications share a block, and so its draws."""
-    gaps: dict[tuple[int, int], dict[str, str]] = defaultdict(dict)
+    """Blocks of whole tiles; estimators of one tile size that miss the same share a block, and so its draws."""
+    gaps: dict[tuple[int, int, int], dict[str, str]] = defaultdict(dict)
     for name, key in keys.items():
         for gap in store.missing_ranges(store.intact_parts(out, key, cell.runner.steps), cell.reps):
-            gaps[gap][name] = key
-    for (start, stop), names in sorted(gaps.items()):
-        tile = math.lcm(*(montecarlo.tile_of(cell.estimators[name]) for name in names))
+            gaps[*gap, montecarlo.tile_of(cell.estimators[name])][name] = key
+    for (start, stop, tile), names in sorted(gaps.items()):
         chunk = cell.runner.chunk or min(math.ceil((stop - start) / (4 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK)
         chunk = math.ceil(chunk / tile) * tile
         for first in range(start - start % chunk, stop, chunk):

@@ -157,7 +157,8 @@ def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, 
         values = [json.dumps(leaves.get(name)) for leaves in flat.values()]
         if len(set(values)) > 1 or any(name in r["changed"] or name in r["swept"] for r in noted):
             keep.append(name)
-    return {cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in flat.items()}
+    full = {r["cell"]: dict(flatten(r["config"])) | r["changed"] for r in noted}
+    return {cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in full.items()}
 
 
 def _natural(values: Iterable[Any]) -> list[tuple[bool, float, str]]:

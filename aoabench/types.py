@@ -90,6 +90,14 @@ class Anchors:
     position: Array
     rotation: Array
 
+    def of(self, i: int) -> Anchors:
+        """The anchors (1, B, ...) of the i-th replication."""
+        one = slice(i, i + 1)
+        return Anchors(
+            self.position if len(self.position) == 1 else self.position[one],
+            self.rotation if len(self.rotation) == 1 else self.rotation[one],
+        )
+
 
 @dataclass(frozen=True)
 class Measurements:

@@ -89,7 +89,7 @@ def test_a_changed_parameter_is_another_cell_and_its_column(tmp_path):
     )
     assert frame["cell"].nunique() == 4
     assert set(frame["noise.sigma_deg"]) == {4, 8}
-    assert set(frame["filter.ukf_vmf.lambda_"].dropna()) == {1}
+    assert set(frame["filter.ukf_vmf.lambda_"]) == {0.5, 1}
     cells = pd.read_parquet(tmp_path / "cells.parquet")
     assert {"noise.sigma_deg", "filter.ukf_vmf.lambda_", "config", "scenario", "noise", "seed"} <= set(cells)
     assert json.loads(cells["config"][0])["scenario"]["name"] == "square_track"

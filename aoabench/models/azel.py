@@ -14,7 +14,7 @@ import numpy as np
 
 from aoabench.directional import flipped_azimuth_std, flipped_elevation_moments
 from aoabench.geometry import Array, in_frames, rotations_for, to_azel, wrap
-from aoabench.models.components import flat, into_state, per_step
+from aoabench.models.components import interleave, into_state, over_measured, per_step
 from aoabench.types import Anchors, BadValue, Batch, check_choice, check_number
 
 _RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative on the pole axis, where it is undefined
@@ -35,19 +35,19 @@ class AzEl:
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
         """Azimuths and elevations (R, T, 2B) rad with their nominal variances (R, T, 2B) rad^2."""
-        y = np.stack([batch.azimuth, batch.elevation], axis=-1)
+        y = interleave((batch.azimuth, batch.elevation))
         own = self.sigmas()
         if own is not None:
-            r = np.broadcast_to(np.square(own), y.shape)
+            r = np.tile(np.square(own), (*y.shape[:2], batch.azimuth.shape[2]))
         elif batch.azimuth_sigma is None or batch.elevation_sigma is None:
             raise BadValue("sigma_deg", None, "a number, because these measurements do not state their deviations")
         else:
-            r = np.stack([batch.azimuth_sigma, batch.elevation_sigma], axis=-1) ** 2
-        return flat(y), flat(r)
+            r = interleave((batch.azimuth_sigma, batch.elevation_sigma)) ** 2
+        return y, r
 
     def predict(self, x: Array, anchors: Anchors) -> Array:
         """Azimuths and elevations (R, ..., 2B) rad of positions x (R, ..., n)."""
-        return flat(np.stack(to_azel(in_frames(x[..., :3], anchors.position, anchors.rotation)), axis=-1))
+        return interleave(to_azel(*in_frames(x[..., :3], anchors.position, anchors.rotation)))
 
     def residual(self, y: Array, expected: Array) -> Array:
         """y - expected (..., 2B) rad, the azimuths wrapped into (-pi, pi]."""
@@ -57,25 +57,28 @@ class AzEl:
 
     def jacobian(self, x: Array, anchors: Anchors) -> Array:
         """Derivatives (R, ..., 2B, n) rad/m, with rho^2 kept above 1e-12 m^2 at the poles."""
-        p = in_frames(x[..., :3], anchors.position, anchors.rotation)
-        rho2 = np.maximum(p[..., 0] ** 2 + p[..., 1] ** 2, _RHO2_FLOOR)
-        rho, r2 = np.sqrt(rho2), rho2 + p[..., 2] ** 2
-        zeros = np.zeros_like(rho)
-        along = p[..., 2] / (rho * r2)
-        d_azimuth = np.stack([-p[..., 1] / rho2, p[..., 0] / rho2, zeros], axis=-1)
-        d_elevation = np.stack([-p[..., 0] * along, -p[..., 1] * along, rho / r2], axis=-1)
-        local = np.stack([d_azimuth, d_elevation], axis=-2)  # (R, ..., B, 2, 3)
+        px, py, pz = in_frames(x[..., :3], anchors.position, anchors.rotation)
+        rho2 = np.maximum(px * px + py * py, _RHO2_FLOOR)
+        rho, r2 = np.sqrt(rho2), rho2 + pz * pz
+        along = pz / (rho * r2)
+        local = np.zeros((*px.shape, 2, 3))
+        local[..., 0, 0], local[..., 0, 1] = -py / rho2, px / rho2
+        local[..., 1, 0], local[..., 1, 1], local[..., 1, 2] = -px * along, -py * along, rho / r2
         return into_state(local @ rotations_for(x, anchors.rotation), x.shape[-1])
 
     def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
-        """The nominal variances (R, ..., 2B) rad^2, whatever x."""
-        return per_step(quality, x)
+        """Variances (R, ..., 2B) rad^2: the nominal ones, whatever x."""
+        return self.covariance_of(self.predict(x, anchors), per_step(quality, x))
+
+    def covariance_of(self, expected: Array, quality: Array) -> Array:
+        """Variances (R, ..., 2B) rad^2 where `predict` gave `expected`."""
+        return quality
 
     def loglik(self, x: Array, anchors: Anchors, y: Array, quality: Array) -> Array:
         """Log likelihood (R, ...): independent normals of the wrapped residuals; NaN components are left out."""
-        d = self.residual(per_step(y, x), self.predict(x, anchors))
-        r = self.covariance(x, anchors, quality)
-        return np.nansum(-0.5 * (d**2 / r + np.log(2 * np.pi * r)), axis=-1)
+        expected = self.predict(x, anchors)
+        r = self.covariance_of(expected, per_step(quality, x))
+        return over_measured(-0.5 * (self.residual(per_step(y, x), expected) ** 2 / r + np.log(2 * np.pi * r)), y, x)
 
 
 @dataclass(frozen=True)
@@ -134,13 +137,14 @@ class AzElAdaptive(AzEl):
         """Nominal deviations (azimuth, elevation) in rad; `covariance` replaces them."""
         return self.nominal(), self.nominal()
 
-    def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
-        """Variances (R, ..., 2B) rad^2 at the elevations of x (R, ..., n)."""
-        return self.variances_at(self.predict(x, anchors)[..., 1::2])
+    def covariance_of(self, expected: Array, quality: Array) -> Array:
+        """Variances (R, ..., 2B) rad^2 at the expected elevations, by the nearest degree; at NaN those of 0."""
+        index = np.rint(np.rad2deg(expected[..., 1::2]) + 90.0)
+        index = np.nan_to_num(index, nan=90.0).astype(np.intp)
+        return interleave(tuple(table[index] for table in _adaptive_variances(self.nominal())))
 
-    def variances_at(self, elevation: Array) -> Array:
-        """Variances (..., 2B) rad^2 at elevations (..., B) rad, by the nearest degree."""
-        azimuth, up = adaptive_table(self.nominal())
-        index = np.rint(np.rad2deg(elevation) + 90.0)
-        index = np.where(np.isfinite(index), np.clip(index, 0, 180), 90).astype(np.intp)
-        return flat(np.stack([azimuth[index], up[index]], axis=-1) ** 2)
+
+@lru_cache(maxsize=32)
+def _adaptive_variances(sigma: float) -> tuple[Array, Array]:
+    azimuth, elevation = adaptive_table(sigma)
+    return azimuth**2, elevation**2

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from aoabench.geometry import Array
 
 
-def flat(a: Array) -> Array:
-    """(..., B, d) -> (..., B d): components in anchor order."""
-    return a.reshape(*a.shape[:-2], -1)
+def interleave(parts: Sequence[Array]) -> Array:
+    """d arrays (..., B), one per kind of component, to one (..., B d) in anchor order."""
+    out = np.empty((*parts[0].shape, len(parts)))
+    for i, part in enumerate(parts):
+        out[..., i] = part
+    return out.reshape(*parts[0].shape[:-1], -1)
 
 
 def into_state(block: Array, n: int) -> Array:
@@ -21,3 +26,9 @@ def into_state(block: Array, n: int) -> Array:
 def per_step(quality: Array, x: Array) -> Array:
     """One step's values (R, m) made to broadcast against those of x (R, ..., n)."""
     return quality.reshape(quality.shape[0], *(1,) * (x.ndim - 2), quality.shape[1])
+
+
+def over_measured(terms: Array, y: Array, x: Array) -> Array:
+    """Sum (R, ...) of log-likelihood terms (R, ..., k) over the components of y (R, k) that are measured (not NaN)."""
+    missing = np.isnan(y)
+    return (np.where(per_step(missing, x), 0.0, terms) if missing.any() else terms).sum(axis=-1)

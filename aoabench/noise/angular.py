@@ -60,7 +60,7 @@ class _Angular:
     def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
         """Measurements (T, B) of true states (T, n), seen from the scenario's anchors."""
         anchors = scenario.known_anchors
-        azimuth, elevation = to_azel(in_frames(truth[None, :, :3], anchors.position, anchors.rotation)[0])
+        azimuth, elevation = (a[0] for a in to_azel(*in_frames(truth[None, :, :3], anchors.position, anchors.rotation)))
         azimuth, elevation = self.perturb(rng, azimuth, elevation)
         quality = np.full(azimuth.shape, self.sigma)
         return Measurements(azimuth, elevation, azimuth_sigma=quality, elevation_sigma=quality)
@@ -114,7 +114,8 @@ class VonMisesFisher(_Angular):
     """Model II: the measured direction is von Mises-Fisher around the true one [Nurminen 2018, (5)]."""
 
     def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
-        return to_azel(vmf_sample(rng, to_unit(azimuth, elevation), self.concentration))
+        u = vmf_sample(rng, to_unit(azimuth, elevation), self.concentration)
+        return to_azel(u[..., 0], u[..., 1], u[..., 2])
 
     def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
         return _vmf_residual_rms(self.concentration, tuple(np.asarray(elevation).tolist()))
@@ -131,7 +132,6 @@ def _vmf_residual_rms(kappa: float, elevation: tuple[float, ...]) -> tuple[Array
     for i, b in enumerate(elevation):
         # frame: mean (cos b, 0, sin b), tangents north (-sin b, 0, cos b) and east (0, 1, 0)
         north, east, ahead = sine * np.cos(turn), sine * np.sin(turn), 1.0 - one_minus_cos
-        u = np.stack([ahead * np.cos(b) - north * np.sin(b), east, ahead * np.sin(b) + north * np.cos(b)], axis=-1)
-        azimuth, up = to_azel(u)
+        azimuth, up = to_azel(ahead * np.cos(b) - north * np.sin(b), east, ahead * np.sin(b) + north * np.cos(b))
         rms[:, i] = [np.sqrt(wv @ np.mean(f**2, axis=1)) for f in (azimuth, up - b)]
     return rms[0], rms[1]

@@ -30,7 +30,7 @@ class Item:
     alt: str = ""
     figure: bool = True
     experiment: str | None = None
-    reps: Any = None  # scale -> replications, for items with an experiment
+    scale: Any = None  # quick, medium and paper: the overrides of an item with an experiment
 
 
 @dataclass(frozen=True)

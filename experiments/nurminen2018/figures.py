@@ -138,27 +138,159 @@ def frames_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     return found
 
 
-# --- Kalman filters on the track --------------------------------------------------------------------------------------
+# --- Figure 3 ---------------------------------------------------------------------------------------------------------
 
 
-def kalman(frame: pd.DataFrame) -> Figure:
-    """Box plots of the percentage RMSE differences from the UKF-VMF, both data models."""
-    figure, axes = new(PAGE, 2.8, cols=2, sharey=True)
-    names = [n for n in frame["estimator"].unique() if n != "ukf_vmf"][::-1]
+def fig3(frame: pd.DataFrame) -> Figure:
+    """One simulated lap with the particle filters' estimates [Nurminen 2018, Fig. 3]."""
+    figure, axes = new(PAGE, 3.6, cols=2, sharex=True, sharey=True)
     for axis, noise in zip(axes, TITLES):
-        rows = frame[frame["noise"] == noise].set_index("estimator").loc[names]
-        boxes(axis, [r for _, r in rows.iterrows()], list(range(len(names))), [COLOURS[_split(n)[1]] for n in names])
-        axis.axvline(0, color="black", lw=0.8, ls=":")
+        rows = frame[frame["noise"] == noise]
+        axis.plot([0, 5, 5, 0, 0], [0, 0, 5, 5, 0], color="black", lw=0.8, label="track")
+        truth = rows[rows["kind"] == "truth"]
+        axis.plot(truth["x_m"], truth["y_m"], "k.", ms=4, label="true positions")
+        for model in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf"):
+            track = rows[rows["kind"] == f"pf_{model}"]
+            axis.plot(
+                track["x_m"], track["y_m"], color=COLOURS[model], marker=MARKERS[model], ms=2.5, lw=0.8,
+                label=f"PF-{LABELS[model]}",
+            )  # fmt: skip
+        anchors = rows[rows["kind"] == "anchor"]
+        axis.quiver(
+            anchors["x_m"], anchors["y_m"], anchors["pole_x"], anchors["pole_y"],
+            color=GREY, angles="xy", scale=16, width=0.008,
+        )  # fmt: skip
+        axis.plot(anchors["x_m"], anchors["y_m"], "X", color=GREY, ms=6, label="anchor and its pole")
         axis.set_title(TITLES[noise])
-        axis.set(xlabel="RMSE difference from UKF-VMF [%]")
-        axis.set_yticks(range(len(names)), [f"{f}-{LABELS[m]}" for f, m in map(_split, names)])
+        axis.set(xlabel="x [m]", aspect="equal")
+    axes[0].set_ylabel("y [m]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
-def kalman_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """By how many percent each AE filter's mean RMSE exceeds that of the same filter with the VMF model."""
-    return {
-        f"kalman/{r.noise}/{r.estimator}": Estimate(r.above_own_vmf_percent, r.above_own_vmf_se)
-        for r in frame.itertuples()
-        if not r.estimator.endswith("vmf")
-    }
+# --- Figure 4 ---------------------------------------------------------------------------------------------------------
+
+ORDER = [f"{f}_{m}" for f in ("pf", "ekf", "ukf") for m in ("vmf", "ae_adaptive", "ae_fitted", "ae_nominal")]
+ORDER.insert(ORDER.index("ukf_ae_adaptive") + 1, "ukf_ae_adaptive_augmented")
+
+
+def _label(estimator: str) -> str:
+    family, model = _split(estimator)
+    return f"{family}-{LABELS[model]}" if model in LABELS else f"{family}-{LABELS[model.removesuffix('_augmented')]}*"
+
+
+def _colour(estimator: str) -> str:
+    return COLOURS[_split(estimator)[1].removesuffix("_augmented")]
+
+
+def fig4(frame: pd.DataFrame) -> Figure:
+    """Box plots of percentage RMSE differences from PF-VMF, both data models [Nurminen 2018, Fig. 4]."""
+    figure, axes = new(PAGE, 3.6, cols=2, sharey=True)
+    names = [n for n in ORDER if n != "pf_vmf"][::-1]
+    for axis, noise in zip(axes, TITLES):
+        rows = frame[frame["noise"] == noise].set_index("estimator").loc[names]
+        boxes(axis, [r for _, r in rows.iterrows()], list(range(len(names))), [_colour(n) for n in names])
+        axis.axvline(0, color="black", lw=0.8, ls=":")
+        axis.set_title(TITLES[noise])
+        axis.set(xlabel="RMSE difference from PF-VMF [%]")
+        axis.set_yticks(range(len(names)), [_label(n) for n in names])
+    figure.text(0.99, 0.005, "* noise-augmented sigma points", ha="right", va="bottom", fontsize=6)
+    return figure
+
+
+def layouts(frame: pd.DataFrame) -> Figure:
+    """Mean RMSE relative to PF-VMF for each layout, both data models."""
+    shown = list(frame["layout"].unique())
+    names = [n for n in ORDER if n != "pf_vmf"][::-1]
+    figure, axes = new(PAGE, 3.4, cols=len(shown), sharey=True, sharex=True)
+    for axis, layout in zip(axes, shown):
+        for k, (noise, marker) in enumerate((("ae_flip", "o"), ("vmf", "s"))):
+            rows = frame[(frame["layout"] == layout) & (frame["noise"] == noise)].set_index("estimator").loc[names]
+            axis.errorbar(
+                rows["above_pf_vmf_percent"], np.arange(len(names)) + 0.15 - 0.3 * k, xerr=3 * rows["above_pf_vmf_se"],
+                fmt=marker, ms=3, capsize=1.5, elinewidth=0.8, label=TITLES[noise],
+            )  # fmt: skip
+        axis.axvline(0, color="black", lw=0.8, ls=":")
+        axis.set_title(layout.removeprefix("square_track").removeprefix("_") or "base")
+        axis.set_yticks(range(len(names)), [_label(n) for n in names])
+    figure.supxlabel("difference of mean RMSE from PF-VMF [%]", fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
+
+
+def particles(frame: pd.DataFrame) -> Figure:
+    """Mean RMSE against the number of particles, both data models."""
+    figure, axes = new(PAGE, 2.8, cols=2, sharey=True)
+    for axis, noise in zip(axes, TITLES):
+        for model in ("vmf", "ae_adaptive", "ae_fitted", "ae_nominal"):
+            rows = frame[(frame["noise"] == noise) & (frame["estimator"] == f"pf_{model}")]
+            axis.errorbar(
+                rows["particles"], rows["rmse_mean_3d_m"], yerr=3 * rows["se_m"],
+                color=COLOURS[model], marker=MARKERS[model], capsize=2, elinewidth=0.8, label=f"PF-{LABELS[model]}",
+            )  # fmt: skip
+        axis.set_title(TITLES[noise])
+        axis.set(xlabel="particles", xscale="log")
+    axes[0].set(ylabel="mean 3-D RMSE [m]", ylim=(0, None))
+    axes[1].legend()
+    return figure
+
+
+def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """The claims on the base layout, filter by filter."""
+    found = {}
+    for r in frame.to_dict("records"):
+        key = f"fig4/{r['noise']}/{r['estimator']}"
+        if r["model"] != "vmf":
+            found[f"{key}/above_own_vmf"] = Estimate(r["above_vmf_percent"], r["above_vmf_se"])
+        elif r["family"] != "pf":
+            found[f"{key}/median"] = Estimate(r["q50"], r["median_se"])
+    for noise, rows in frame.groupby("noise"):
+        found |= {f"fig4/{noise}/{key}": value for key, value in _about_adaptivity(rows).items()}
+    return found
+
+
+def layouts_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """The claims on each layout, summed up: for "every filter" the least favourable one counts, in standard errors."""
+    found = {}
+    for (layout, noise), rows in frame.groupby(["layout", "noise"]):
+        key = f"layouts/{layout}/{noise}"
+        ae = [
+            Estimate(r["above_vmf_percent"], r["above_vmf_se"]) for r in rows.to_dict("records") if r["model"] != "vmf"
+        ]
+        found[f"{key}/least_above_own_vmf"] = min(ae, key=lambda e: e.value / e.se)
+        for r in rows.to_dict("records"):
+            if r["estimator"] in ("ekf_vmf", "ukf_vmf"):
+                found[f"{key}/{r['estimator']}/median"] = Estimate(r["q50"], r["median_se"])
+        found |= {f"{key}/{name}": value for name, value in _about_adaptivity(rows).items()}
+    return found
+
+
+def _about_adaptivity(rows: pd.DataFrame) -> dict[str, Estimate]:
+    """PF-AE-adaptive against the better of the other AE filters, and the least helpful adaptivity of EKF and UKF."""
+    at = {r["estimator"]: r for r in rows.to_dict("records")}
+    pf = at["pf_ae_adaptive"]
+    against = [Estimate(pf[f"above_{m}_percent"], pf[f"above_{m}_se"]) for m in ("ae_nominal", "ae_fitted")]
+    kalman = [
+        Estimate(at[name][f"above_{model}_percent"], at[name][f"above_{model}_se"])
+        for name in ("ekf_ae_adaptive", "ukf_ae_adaptive", "ukf_ae_adaptive_augmented")
+        for model in ("ae_nominal", "ae_fitted")
+    ]
+    return {"pf_adaptive_closest": max(against, key=_z), "adaptivity_need_not_help": max(kalman, key=_z)}
+
+
+def _z(e: Estimate) -> float:
+    return e.value / e.se
+
+
+def particles_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """By how many percent the RMSE at 10^4 particles lies below that at a third of them."""
+    found = {}
+    for (noise, name), rows in frame.groupby(["noise", "estimator"]):
+        at = rows.set_index("particles")
+        if {3162, 10000} <= set(at.index):
+            few, many = at.loc[3162], at.loc[10000]
+            se = 100 * np.hypot(few["se_m"], many["se_m"]) / few["rmse_mean_3d_m"]  # upper bound: the draws are shared
+            found[f"particles/{noise}/{name}"] = Estimate(
+                100 * (many["rmse_mean_3d_m"] / few["rmse_mean_3d_m"] - 1), se
+            )
+    return found

@@ -6,10 +6,12 @@ import numpy as np
 import pandas as pd
 
 from aoabench import directional, statistics
+from aoabench.composing import compose_cells
 from aoabench.filters.kalman import EKF, UKF
-from aoabench.geometry import to_azel, to_unit, wrap
+from aoabench.geometry import to_unit, wrap
 from aoabench.models.azel import AzEl, AzElAdaptive, AzElFitted, adaptive_table
 from aoabench.models.unit_vector import UnitVector
+from aoabench.montecarlo import Draws, estimate_tile
 from aoabench.noise.angular import FlippedAngles, VonMisesFisher
 from aoabench.types import Anchors
 
@@ -171,8 +173,30 @@ def exact_mean(h: object, nodes: int) -> np.ndarray:
 
 def angle_deg(x: np.ndarray, u: np.ndarray) -> float:
     """Angle in degrees between position x (3,), seen from the anchor in the origin, and the unit vector u (3,)."""
-    v = to_unit(*to_azel(x))
+    v = x / np.linalg.norm(x)
     return float(np.rad2deg(2 * np.arcsin(min(1.0, 0.5 * np.linalg.norm(v - u)))))
+
+
+# --- Figure 3 ---------------------------------------------------------------------------------------------------------
+
+
+def fig3(scale: str) -> pd.DataFrame:
+    """Replication 0 of each data model on the base layout: truth, particle filters' estimates, anchors."""
+    filters = [f"pf_{model}" for model in MODELS]
+    rows = []
+    for noise in ("ae_flip", "vmf"):
+        cell = compose_cells([f"noise={noise}", f"filter=[{','.join(filters)}]", "scenario=square_track"])[0]
+        draws = Draws(cell.scenario, cell.noise, cell.seed)
+        truth, _ = draws.tile(0, 1)
+        tracks = {"truth": truth[0]}
+        for name, estimator in cell.estimators.items():
+            tracks[name] = estimate_tile(draws, estimator, 0)[1].position[0]
+        for name, track in tracks.items():
+            rows += [(noise, name, k, *x, np.nan, np.nan) for k, x in enumerate(track[:, :3])]
+        anchors = cell.scenario.known_anchors
+        poles = anchors.rotation[0, :, 2]  # the global direction of each pole
+        rows += [(noise, "anchor", j, *s, *poles[j, :2]) for j, s in enumerate(anchors.position[0])]
+    return pd.DataFrame(rows, columns=["noise", "kind", "step", "x_m", "y_m", "z_m", "pole_x", "pole_y"])
 
 
 # --- from replications ------------------------------------------------------------------------------------------------
@@ -191,23 +215,41 @@ def frames(runs: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def kalman(runs: pd.DataFrame) -> pd.DataFrame:
-    """Distribution of each filter's percentage RMSE difference from the UKF-VMF, per data model."""
+def fig4(runs: pd.DataFrame) -> pd.DataFrame:
+    """Per layout, data model and filter: RMSE, its percentage difference from PF-VMF, paired differences of models.
+
+    Columns q05 ... maximum are levels of the per-replication difference; above_X_percent is the paired difference of
+    mean RMSE from the same filter with model X (pf_vmf: from PF-VMF).
+    """
     rows = []
-    for noise, group in runs.groupby("noise", sort=True):
+    for (layout, noise), group in runs.groupby(["scenario", "noise"], sort=False):
         wide = group.pivot(index="replication", columns="estimator", values="rmse_3d_m")
-        base = wide["ukf_vmf"]
-        for name in group["estimator"].unique():
-            percent = 100 * (wide[name] / base - 1)
-            q = percent.quantile([0.05, 0.25, 0.5, 0.75, 0.95]).to_list()
-            family = name.partition("_")[0]
-            against_vmf = statistics.paired(wide[name], wide[f"{family}_vmf"])
+        for name in wide.columns:
+            family, _, model = name.partition("_")
+            percent = 100 * (wide[name] / wide["pf_vmf"] - 1)
+            levels = [statistics.quantile(percent, q) for q in statistics.QUANTILES]
             mean = statistics.mean(wide[name])
-            median = statistics.quantile(percent, 0.5)
-            rows.append(
-                (noise, name, mean.value, mean.se, *q, percent.min(), percent.max(), median.se,
-                 against_vmf.percent.value, against_vmf.percent.se, len(wide))
-            )  # fmt: skip
-    columns = ["noise", "estimator", "rmse_mean_3d_m", "se_m", "q05", "q25", "q50", "q75", "q95", "minimum", "maximum"]
-    columns += ["median_se", "above_own_vmf_percent", "above_own_vmf_se", "replications"]
-    return pd.DataFrame(rows, columns=columns)
+            row = {"layout": layout, "noise": noise, "estimator": name, "family": family, "model": model}
+            row |= {"replications": len(wide), "rmse_mean_3d_m": mean.value, "se_m": mean.se}
+            row |= {f"q{round(100 * q):02d}": level.value for q, level in zip(statistics.QUANTILES, levels)}
+            row |= {"median_se": levels[2].se, "minimum": percent.min(), "maximum": percent.max()}
+            others = {"pf_vmf": "pf_vmf"} | {m: f"{family}_{m}" for m in ("vmf", "ae_nominal", "ae_fitted")}
+            for other, against in others.items():
+                pair = statistics.paired(wide[name], wide[against]).percent
+                row |= {f"above_{other}_percent": pair.value, f"above_{other}_se": pair.se}
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def layouts(runs: pd.DataFrame) -> pd.DataFrame:
+    """The same over the layout variants."""
+    return fig4(runs)
+
+
+def particles(runs: pd.DataFrame) -> pd.DataFrame:
+    """Mean RMSE of each particle filter against the number of particles."""
+    rows = []
+    for (noise, count, name), group in runs.groupby(["noise", "filter.pf_vmf.particles", "estimator"], sort=True):
+        mean = statistics.mean(group["rmse_3d_m"])
+        rows.append((noise, int(count), name, mean.value, mean.se, len(group)))
+    return pd.DataFrame(rows, columns=["noise", "particles", "estimator", "rmse_mean_3d_m", "se_m", "replications"])

@@ -135,8 +135,8 @@ def test_jacobian_is_finite_on_the_pole_axis():
 def test_adaptive_deviations_follow_the_table_of_model_1():
     h = AzElAdaptive(noise=VonMisesFisher(10.0))
     azimuth, up = adaptive_table(np.deg2rad(10))
-    e = np.deg2rad([[-90.0, -33.4, 0.0, 89.6]])
-    v = h.variances_at(e)
+    e = np.deg2rad([[0, -90.0, 0, -33.4, 0, 0.0, 0, 89.6]])
+    v = h.covariance_of(e, np.ones((1, 8)))
     assert np.allclose(v[0, 0::2], azimuth[[0, 57, 90, 180]] ** 2)
     assert np.allclose(v[0, 1::2], up[[0, 57, 90, 180]] ** 2)
 

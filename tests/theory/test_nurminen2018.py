@@ -36,7 +36,7 @@ def expected_logliks(data: str) -> np.ndarray:
             return d.flipped_azimuth_std(b, SIGMA) ** 2, d.flipped_elevation_moments(b, SIGMA)[1] ** 2
         cosines, turns, weights = vmf_nodes()
         u = around(b, cosines, turns)
-        a, e = g.to_azel(u)
+        a, e = g.to_azel(u[..., 0], u[..., 1], u[..., 2])
         return np.sum(weights * a**2), np.sum(weights * (e - b) ** 2)
 
     def vmf_terms(b):
@@ -165,7 +165,7 @@ def test_which_sides_are_pole_lines_of_which_anchors(scenario):
     for side in range(4):
         x = s.at(np.array([5.0 * side + 1.7, 5.0 * side + 3.1]))[None]
         anchors = s.known_anchors
-        elevation = g.to_azel(g.in_frames(x, anchors.position, anchors.rotation))[1][0]
+        elevation = g.to_azel(*g.in_frames(x, anchors.position, anchors.rotation))[1][0]
         at_pole = np.flatnonzero(np.all(np.isclose(elevation, np.pi / 2), axis=0))
         assert list(at_pole) == POLE_LINES[scenario].get(side, [])
 
