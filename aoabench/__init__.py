@@ -26,7 +26,7 @@ def run(
     plugins: Sequence[str] = (),
     progress: bool = False,
 ) -> pd.DataFrame:
-    """Run one cell, or a sweep where overrides hold commas, and return its tidy frame (see `load`).
+    """Run one cell, or a sweep where overrides hold commas, and return the tidy frame of just that (see `load`).
 
     Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]", "noise.sigma_deg=2,5", "reps=200")`.
     `estimators` adds objects of your own by name: callables (batch, scenario, streams) -> Estimates, which see the same
@@ -37,7 +37,9 @@ def run(
 
     given = [*overrides, *([f"runner.out={os.fspath(out)}"] if out is not None else [])]
     cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
-    return load(runner.run(cells, progress).out)
+    frame = load(runner.run(cells, progress).out)
+    mine = {(cell.id, name) for cell in cells for name in cell.estimators}
+    return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(drop=True)
 
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:

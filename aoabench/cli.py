@@ -1,4 +1,4 @@
-"""The command line. The only module that knows Hydra's decorator and the terminal.
+"""The command line: the only module that knows the terminal.
 
 Exit status: 0 done, 2 the user's mistake (one line), 1 anything else, 130 interrupted.
 """
@@ -6,11 +6,8 @@ Exit status: 0 done, 2 the user's mistake (one line), 1 anything else, 130 inter
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -85,82 +82,61 @@ RUN is the folder of a run (runner.out). Exit status: 0 done, 2 a mistake in the
 
 
 def run(arguments: Sequence[str]) -> int:
-    """`aoabench run`: Hydra composes every job first; when all are valid, they are computed together."""
-    from aoabench import composing, config, runner
+    """`aoabench run`: every job is composed and validated first, then all are computed together."""
+    from aoabench import composing, runner
 
-    config_dir = _option_value(arguments, ("--config-dir", "-cd"))
-    for flag in ("--config-path", "-cp", "--config-name", "-cn"):
-        if any(a == flag or a.startswith(flag + "=") for a in arguments):
-            raise UserError(f"{flag} is not allowed; allowed: --config-dir DIR with configs of your own")
-    if any(a.lstrip("+~").startswith("hydra.searchpath") for a in arguments):
-        raise UserError("hydra.searchpath is not allowed; allowed: --config-dir DIR with configs of your own")
-    composing.refuse_foreign_hydra(config_dir)
+    parser = _Parser(prog="aoabench run", add_help=False, allow_abbrev=False)
+    parser.add_argument("-m", "--multirun", action="store_true")
+    parser.add_argument("-c", "--cfg", choices=["job"])
+    parser.add_argument("-p", "--package", default="")
+    parser.add_argument("--resolve", action="store_true")
+    parser.add_argument("-h", "--help", action="store_true")
+    parser.add_argument("-cd", "--config-dir")
     overrides = [a for a in arguments if a.startswith("~") or ("=" in a and not a.startswith("-"))]
-    flags = [a for a in arguments if a not in overrides]
-    cells: list[config.Cell] = []
-    with composing.explained(overrides, config_dir):
-        _hydra_main(cells, flags, overrides)
-    if cells:
-        done = runner.run(cells)
-        _print_run(done, cells)
+    given = parser.parse_args([a for a in arguments if a not in overrides])
+    if given.help:
+        print(_run_help(given.config_dir))
+        return 0
+    if given.cfg:
+        print(composing.show(overrides, given.config_dir, given.resolve, given.package), end="")
+        return 0
+    cells = composing.compose_cells(overrides, config_dir=given.config_dir, sweep=given.multirun)
+    done = runner.run(cells)
+    _print_run(done, cells)
     return 0
 
 
-def _option_value(arguments: Sequence[str], names: Sequence[str]) -> str | None:
-    for i, argument in enumerate(arguments):
-        for name in names:
-            if argument == name and i + 1 < len(arguments):
-                return arguments[i + 1]
-            if argument.startswith(name + "="):
-                return argument.partition("=")[2]
-    return None
+_RUN_HELP = """\
+aoabench run: simulate one cell, or with -m a sweep over cells, and keep every replication in Parquet.
+
+== Options: GROUP=NAME; several filters or estimators: 'filter=[NAME,NAME]' ==
+
+{options}
+
+== Config: override anything as KEY=VALUE ==
+
+{config}
+== Flags ==
+
+-m, --multirun      sweep: KEY=VALUE,VALUE makes a cell of each combination (Hydra's syntax, range() and glob() too)
+-c job, --cfg job   show the composed config; with --resolve its interpolations too, with -p KEY a part of it
+--config-dir DIR    a folder with configs of your own (DIR/filter/mine.yaml ...), appended to the shipped ones
+
+== Examples ==
+
+aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
+aoabench run -m noise.sigma_deg=2,5,10 'filter=[ekf_vmf,ekf_ae_nominal]' runner.out=results/raw/sigma
+aoabench run -m experiment=nurminen2018_frames reps=500
+
+`aoabench list` says what each option is."""
 
 
-def _hydra_main(cells: list[Any], flags: Sequence[str], overrides: Sequence[str]) -> None:
-    """Hand the command line to Hydra; each job that it composes is validated and put into `cells`.
+def _run_help(config_dir: str | None) -> str:
+    from aoabench import composing
+    from aoabench.config import GROUPS, options
 
-    Hydra's own complaints about flags go through us, and its record of a sweep (multirun.yaml) into a folder that is
-    thrown away: the run's tables hold the configs.
-    """
-    import hydra
-    from hydra.core.hydra_config import HydraConfig
-    from omegaconf import DictConfig
-
-    from aoabench import composing, config, runner
-
-    mistakes: list[UserError] = []
-
-    def job(cfg: DictConfig) -> None:
-        hydra_config = HydraConfig.get()
-        try:
-            cell = composing.make_cell(
-                cfg, dict(hydra_config.runtime.choices), overrides=list(hydra_config.overrides.task)
-            )
-        except UserError as error:  # through Hydra it would arrive with a preamble
-            mistakes.append(error)
-            return
-        if hydra_config.launcher._target_.endswith("BasicLauncher"):
-            cells.append(cell)
-        else:  # another machine or process, which Hydra's launcher chose: compute it there
-            runner.run([cell], progress=False)
-
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions reach us as they are
-    before, complaints = sys.argv, io.StringIO()
-    try:
-        with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stderr(complaints):
-            own = any(o.startswith(("hydra/launcher", "hydra.sweep.dir")) for o in overrides)
-            sys.argv = ["aoabench run", *flags, *overrides, *([] if own else [f"hydra.sweep.dir={folder}"])]
-            hydra.main(version_base="1.3", config_path=str(config.shipped("configs")), config_name="config")(job)()
-    except SystemExit as stop:
-        if stop.code not in (0, None):
-            lines = complaints.getvalue().strip().splitlines() or ["the flags cannot be read"]
-            said = lines[-1].partition("error: ")[2] or lines[-1]
-            raise UserError(f"run: {said.partition(' hydra.sweep.dir=')[0]}; see `aoabench run --help`") from None
-    finally:
-        sys.argv = before
-    if mistakes:
-        raise mistakes[0]
-    sys.stderr.write(complaints.getvalue())
+    listed = "\n".join(f"{group}: {', '.join(options(group, config_dir)) or '(none yet)'}" for group in GROUPS)
+    return _RUN_HELP.format(options=listed, config=composing.show([], config_dir))
 
 
 def _print_run(done: Any, cells: Sequence[Any]) -> None:
@@ -230,14 +206,15 @@ def compare(arguments: Sequence[str]) -> int:
     """`aoabench compare`: paired differences between the estimators of each cell."""
     from aoabench import statistics, tables
     from aoabench.config import did_you_mean
+    from aoabench.store import REPLICATIONS
 
     parser = _Parser(prog="aoabench compare", description="Paired comparison of estimators over the replications.")
     parser.add_argument("run", help="folder of a run (runner.out)")
-    parser.add_argument("--baseline", help="estimator to compare with (default: the best of each cell)")
+    parser.add_argument("--baseline", help="estimator to compare with (default: the smallest mean of each cell)")
     parser.add_argument("--metric", default="rmse_3d_m", help="column of the replications table (default: rmse_3d_m)")
     given = parser.parse_args(list(arguments))
     frame = tables.load(given.run)
-    numeric = [c for c in frame.select_dtypes("number").columns if c != "replication"]
+    numeric = [c for c, kind in REPLICATIONS.items() if kind == "double" or c.startswith("n_")]
     if given.metric not in numeric:
         hint = did_you_mean(given.metric, numeric) or f"; allowed: {', '.join(numeric)}"
         raise UserError(f"--metric={given.metric}: no such column{hint}")
@@ -259,7 +236,10 @@ def compare(arguments: Sequence[str]) -> int:
                 continue
             pair = statistics.paired(wide[name], wide[base])
             low, high = pair.percent_interval()
-            says = "no difference seen" if low <= 0 <= high else "larger" if low > 0 else "smaller"
+            says = "larger" if low > 0 else "smaller" if high < 0 else "no difference seen"
+            if low != low:
+                print(f"  {name:24s} too few pairs with a value to compare: N = {pair.n}")
+                continue
             print(
                 f"  {name:24s} {pair.percent.value:+8.2f} %  [{low:+.2f}, {high:+.2f}]  "
                 f"p = {pair.p_value:.2g}  N = {pair.n}  {says}"

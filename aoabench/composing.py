@@ -1,14 +1,19 @@
-"""Composing with Hydra: overrides to cells, what a config from outside may set, Hydra's errors in one clear line."""
+"""Composing with Hydra: overrides to cells, what a config from outside may set, Hydra's errors in one clear line.
+
+Only Hydra's compose API is used: no callbacks, launchers, logging configuration or reruns of Hydra's own, whose
+`_target_`s would run code before ours could look at them.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from aoabench.config import GROUPS, Cell, build, did_you_mean, options, shipped
-from aoabench.store import flatten
+from aoabench.config import GROUPS, Cell, build, did_you_mean, options, parse_plugins
+from aoabench.store import flatten, shipped
 from aoabench.types import UserError
 
 
@@ -18,64 +23,98 @@ def compose_cells(
     config_dir: str | None = None,
     plugins: Sequence[str] = (),
     extra: Mapping[str, Any] | None = None,
+    sweep: bool = True,
 ) -> list[Cell]:
-    """The cells of a (multi)run given as command-line overrides; commas and the experiment's own sweep expand."""
+    """The cells of a (multi)run given as command-line overrides; commas and the experiment's own sweep expand.
+
+    Without `sweep` there is one cell, and a comma is the user's mistake. Raises UserError for every mistake.
+    """
     from hydra import compose
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     overrides = list(overrides) + ([f"plugins=[{','.join(plugins)}]"] if plugins else [])
+    allowed = parse_plugins(overrides)
     with hydra_initialised(config_dir), explained(overrides, config_dir):
         parser = OverridesParser.create()
-        plain = [str(o.input_line) for o in parser.parse_overrides(overrides) if not o.is_sweep_override()]
-        base = compose("config", overrides=plain, return_hydra_config=True)
-        sweep = [f"{key}={value}" for key, value in (base.hydra.sweeper.params or {}).items()]
+        parsed = parser.parse_overrides(overrides)
+        for override in parsed:
+            _refuse_hydra(str(override.key_or_group), str(override.input_line))
+            if override.is_sweep_override() and not sweep:
+                raise UserError(f"{override.input_line}: several values are a sweep; add -m, or brackets for one list")
+        plain = [str(o.input_line) for o in parsed if not o.is_sweep_override()]
+        jobs = [plain]
+        if sweep:
+            base = compose("config", overrides=plain, return_hydra_config=True)
+            own = [f"{key}={value}" for key, value in (base.hydra.sweeper.params or {}).items()]
+            jobs = BasicSweeper.split_arguments(parser.parse_overrides([*own, *overrides]), None)[0]
+        if not jobs:
+            raise UserError(f"{' '.join(overrides)}: the sweep is empty; allowed: at least one value for each key")
         cells = []
-        for job in BasicSweeper.split_arguments(parser.parse_overrides([*sweep, *overrides]), None)[0]:
+        for job in jobs:
             cfg = compose("config", overrides=job, return_hydra_config=True)
-            cells.append(make_cell(cfg, cfg.hydra.runtime.choices, overrides=job, extra=extra))
-        return cells
+            cells.append(_cell(cfg, job, allowed, extra, config_dir))
+    if len({cell.runner for cell in cells}) > 1:
+        raise UserError("runner and store cannot be swept: the cells of one run share them")
+    return cells
 
 
-def make_cell(
-    cfg: Any, choices: Mapping[str, Any], *, overrides: Sequence[str], extra: Mapping[str, Any] | None = None
+def show(overrides: Sequence[str], config_dir: str | None = None, resolve: bool = False, package: str = "") -> str:
+    """The composed config as YAML, or one dotted part of it."""
+    from hydra import compose
+    from omegaconf import OmegaConf
+
+    with hydra_initialised(config_dir), explained(overrides, config_dir):
+        for override in overrides:
+            _refuse_hydra(override.partition("=")[0].lstrip("+~"), override)
+        cfg = compose("config", overrides=list(overrides))
+        part = OmegaConf.select(cfg, package) if package else cfg
+        if part is None:
+            raise UserError(f"--package={package}: no such part of the config")
+        return OmegaConf.to_yaml(part, resolve=resolve) if OmegaConf.is_config(part) else f"{part}\n"
+
+
+def _cell(
+    cfg: Any, job: Sequence[str], plugins: Sequence[str], extra: Mapping[str, Any] | None, config_dir: str | None
 ) -> Cell:
-    """The cell of one composed job (a DictConfig, its hydra node ignored); call it where Hydra is initialised."""
+    """The cell of one composed job."""
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    parts = {key: cfg._get_node(key) for key in cfg if key != "hydra"}
-    job = OmegaConf.create(parts)
+    node = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
     try:
-        plain: Any = OmegaConf.to_container(job, resolve=True, throw_on_missing=True)
+        plain: Any = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
-        raise UserError(_first_line(error)) from None
-    raw: Any = OmegaConf.to_container(job, resolve=False)
-    return build(plain, dict(choices), overrides=overrides, changed=_changed(raw, plain), extra=extra)
+        key = getattr(error, "full_key", None)
+        raise UserError(f"{key}: {_first_line(error)}" if key else _first_line(error)) from None
+    raw: Any = OmegaConf.to_container(node, resolve=False)
+    choices = dict(cfg.hydra.runtime.choices)
+    return build(plain, choices, overrides=job, plugins=plugins, changed=_changed(raw, plain, config_dir), extra=extra)
 
 
-def _changed(raw: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+def _changed(raw: Mapping[str, Any], plain: Mapping[str, Any], config_dir: str | None) -> dict[str, Any]:
     """Estimators' parameters, dotted, whose values differ from their presets' own."""
     from hydra import compose
     from omegaconf import OmegaConf
 
-    changed: dict[str, Any] = {}
-    for group in ("filter", "estimator"):
-        names = list(raw.get(group) or {})
-        if not names:
-            continue
-        preset = compose("config", overrides=[f"{group}=[{','.join(names)}]"])
-        default = dict(flatten(OmegaConf.to_container(preset[group], resolve=False), group))
-        resolved = dict(flatten(plain[group], group))
-        for key, value in flatten(raw[group], group):
-            if key not in default or default[key] != value:
-                changed[key] = resolved.get(key, value)
-    return changed
+    given = {group: raw[group] for group in ("filter", "estimator") if isinstance(raw.get(group), dict)}
+    presets = {group: [n for n in nodes if n in options(group, config_dir)] for group, nodes in given.items()}
+    cfg = compose("config", overrides=[f"{group}=[{','.join(names)}]" for group, names in presets.items()])
+    default = dict(flatten(OmegaConf.to_container(cfg, resolve=False)))
+    resolved = dict(flatten(plain))
+    return {
+        key: resolved.get(key, value)
+        for key, value in flatten(given)
+        if key and (key not in default or default[key] != value)
+    }
+
+
+# --- Hydra, kept to composing -----------------------------------------------------------------------------------------
 
 
 @contextmanager
 def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
-    """Hydra's compose API over the shipped configs, a user's own appended to the search path."""
+    """Hydra's compose API over the shipped configs, a user's own (checked) appended to the search path."""
     from hydra._internal.hydra import Hydra
     from hydra._internal.utils import create_config_search_path
     from hydra.core.config_search_path import SearchPathQuery
@@ -97,34 +136,53 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
         Singleton.set_state(before)
 
 
+def _refuse_hydra(key: str, given: str) -> None:
+    if key == "hydra" or key.startswith(("hydra.", "hydra/", "hydra@")) or "@hydra" in key:
+        raise UserError(f"{given}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE")
+
+
 def refuse_foreign_hydra(config_dir: str | None) -> None:
-    """Raise UserError if a config from outside sets anything under `hydra` but the sweeper's params.
+    """Raise UserError if a config from outside sets anything under `hydra` but the sweeper's params, or plugins.
 
-    Read before Hydra starts, because Hydra's own callbacks run code before ours.
+    Read before Hydra starts. Links are followed, as Hydra follows them; only the config groups are looked at, which is
+    all that Hydra can reach (a defaults list that leads elsewhere is refused).
     """
-    import yaml
-
     if config_dir is None:
         return
     root = Path(config_dir)
     if not root.is_dir():
-        raise UserError(f"--config-dir={config_dir}: no such folder")
-    if (root / "hydra").exists():
+        raise UserError(f"--config-dir={config_dir}: no such folder; allowed: a folder with {', '.join(GROUPS)} in it")
+    if (root / "hydra").exists() or (root / "hydra").is_symlink():
         raise UserError(f"--config-dir={config_dir}: a folder 'hydra' is not allowed in it")
-    for file in sorted([*root.rglob("*.yaml"), *root.rglob("*.yml")]):
-        text = file.read_text(encoding="utf-8", errors="replace")
-        try:
-            nodes = list(yaml.safe_load_all(text))
-        except yaml.YAMLError as error:
-            raise UserError(f"{file}: not valid YAML: {_first_line(error)}") from None
-        bad = [line for line in text.splitlines() if line.startswith("#") and "@package" in line and "hydra" in line]
-        for node in nodes:
-            bad += list(_foreign_settings(node))
-        if bad:
-            raise UserError(f"{file}: {bad[0].strip()!r} is not allowed; a config may only set hydra.sweeper.params")
+    for group in GROUPS:
+        for folder, _, files in os.walk(root / group, followlinks=True):
+            for name in files:
+                if name.endswith((".yaml", ".yml")):
+                    _check_file(Path(folder) / name)
+
+
+def _check_file(file: Path) -> None:
+    import yaml
+
+    allowed = "a config may only set hydra.sweeper.params, and no plugins"
+    try:
+        text = file.read_text(encoding="utf-8")
+        nodes = list(yaml.safe_load_all(text))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{file}: cannot be read: {error}") from None
+    except yaml.YAMLError as error:
+        raise UserError(f"{file}: not plain YAML: {_first_line(error)}") from None
+    for line in text.splitlines():
+        words = line.strip().lstrip("#").split()
+        if line.strip().startswith("#") and words[:1] == ["@package"] and words[1:] not in (["_global_"], ["_group_"]):
+            raise UserError(f"{file}: {line.strip()!r} is not allowed; allowed: # @package _global_")
+    for node in nodes:
+        for bad in _foreign_settings(node):
+            raise UserError(f"{file}: {bad!r} is not allowed; {allowed}")
 
 
 def _foreign_settings(node: Any) -> Iterator[str]:
+    """What a document sets and must not: at the top level, and in its defaults list."""
     if not isinstance(node, dict):
         return
     for key, value in node.items():
@@ -132,17 +190,28 @@ def _foreign_settings(node: Any) -> Iterator[str]:
         if name == "defaults":
             for entry in value if isinstance(value, list) else [value]:
                 text = " ".join(map(str, entry)) if isinstance(entry, dict) else str(entry)
-                if "hydra" in text:
+                group = text.removeprefix("override ").lstrip("/").partition("/")[0].partition("@")[0].strip()
+                inside = group in GROUPS or group == "_self_" or "/" not in text
+                if "hydra" in text or "@" in text or ".." in text or not inside:
                     yield f"defaults: {text}"
-        elif name == "plugins":
-            yield "plugins"
-        elif name == "hydra":
-            inside = value if isinstance(value, dict) else {"": value}
-            for leaf, _ in flatten(inside, "hydra"):
-                if not leaf.startswith("hydra.sweeper.params"):
-                    yield leaf
-        elif name.startswith("hydra."):
+        elif name.split(".")[0] in ("plugins", "hydra") and name != "hydra":
             yield name
+        elif name == "hydra":
+            yield from _foreign_hydra(value)
+
+
+def _foreign_hydra(node: Any) -> Iterator[str]:
+    for leaf, value in flatten(node, "hydra"):
+        parts = leaf.split(".")
+        key = ".".join(parts[3:]).lstrip("+~ ")
+        swept = parts[:3] == ["hydra", "sweeper", "params"] and len(parts) > 3
+        if not swept or key.split(".")[0].split("/")[0].split("@")[0] in ("hydra", "plugins") or "@" in key:
+            yield leaf
+        elif isinstance(value, dict | list):
+            yield f"{leaf}: {value}"
+
+
+# --- one clear line ---------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -157,11 +226,8 @@ def explained(overrides: Sequence[str], config_dir: str | None = None) -> Iterat
         raise
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_explain(error, overrides, config_dir)) from None
-    except ValueError as error:  # Hydra's own, of a group set to something that is no name: noise=null
-        if not any(o.partition("=")[0] in GROUPS for o in overrides):
-            raise
-        given = " ".join(o for o in overrides if o.partition("=")[0] in GROUPS)
-        raise UserError(f"{given}: {_first_line(error)}") from None
+    except (ValueError, TypeError, AssertionError) as error:  # Hydra's own: noise=null, range(1,5,0)
+        raise UserError(f"{' '.join(overrides)}: cannot be composed: {_first_line(error)}") from None
 
 
 def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None) -> str:
@@ -180,7 +246,7 @@ def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None)
         key = override.partition("=")[0].lstrip("+~")
         if f"'{key}'" in text or f"full_key: {key}" in text:
             return f"{override}: {_about_key(key, config_dir)}"
-    return _first_line(error)
+    return f"{' '.join(overrides)}: {_first_line(error)}"
 
 
 def _about_key(key: str, config_dir: str | None) -> str:
@@ -189,23 +255,18 @@ def _about_key(key: str, config_dir: str | None) -> str:
     if head in ("filter", "estimator") and rest:
         name = rest.partition(".")[0]
         if name in options(head, config_dir):
-            return f"no such key, or {head} {name!r} is not selected: {head}=[{name}]" + did_you_mean(
-                key, known_keys(name, head)
-            )
+            hint = did_you_mean(key, [k for k in known_keys(name, head) if k != key])
+            return f"no such key, or {head} {name!r} is not selected: {head}=[{name}]{hint}"
         return f"unknown {head} {name!r}{did_you_mean(name, options(head, config_dir))}"
-    known = known_keys()
-    return f"unknown key {key!r}" + (did_you_mean(key, known) or "; `aoabench run --cfg job` shows the keys")
+    hint = did_you_mean(key, [k for k in known_keys() if k != key])
+    return f"unknown key {key!r}{hint or '; `aoabench run --cfg job` shows the keys'}"
 
 
 def known_keys(preset: str | None = None, group: str = "filter") -> list[str]:
-    """Dotted keys of the default config, with one preset selected if named."""
+    """Dotted keys of the default config, with one preset selected if named; call it where Hydra is initialised."""
     from hydra import compose
-    from hydra.core.global_hydra import GlobalHydra
     from omegaconf import OmegaConf
 
-    if not GlobalHydra.instance().is_initialized():
-        with hydra_initialised():
-            return known_keys(preset, group)
     cfg = compose("config", overrides=[f"{group}=[{preset}]"] if preset else [])
     keys = [key for key, _ in flatten(OmegaConf.to_container(cfg, resolve=False))]
     return [*keys, *GROUPS]

@@ -18,18 +18,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from aoabench.store import shipped
 from aoabench.types import BadValue, UserError, check_number
 
 PLUG_INS = tuple(f"aoabench.{room}" for room in ("scenarios", "noise", "models", "filters", "estimators"))
 GROUPS = ("scenario", "noise", "filter", "estimator", "runner", "experiment")
 _TOP_LEVEL = ("scenario", "noise", "filter", "estimator", "runner", "store", "reps", "seed", "plugins")
-
-
-def shipped(folder: str) -> Path:
-    """Where `configs` or `experiments` lie: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).resolve().parent
-    inside = package / folder
-    return inside if inside.is_dir() else package.parent / folder
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -110,7 +104,7 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
         return cls(**arguments)
     except BadValue as error:
         raise BadValue(f"{path}.{error.key}", error.value, error.allowed) from None
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise UserError(f"{path}: {error}") from None
 
 
@@ -164,11 +158,25 @@ class Cell:
         parts = [self.config["scenario"], self.config["noise"], self.seed, self.scenario_name, self.noise_name]
         return digest([*parts, dict(self.changed)])[:12]
 
+    @property
+    def draws(self) -> str:
+        """Hash of the config that the simulated data come from."""
+        return digest([self.config["scenario"], self.config["noise"], self.seed])
+
 
 def digest(value: Any) -> str:
     """Hexadecimal hash of a plain value, equal for equal content."""
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), default=str)
+    text = json.dumps(_canonical(value), sort_keys=True, separators=(",", ":"), default=str)
     return hashlib.blake2b(text.encode(), digest_size=20).hexdigest()
+
+
+def _canonical(value: Any) -> Any:
+    """5 and 5.0 are one number."""
+    if isinstance(value, dict):
+        return {str(k): _canonical(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_canonical(v) for v in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def build(
@@ -176,95 +184,121 @@ def build(
     choices: Mapping[str, Any],
     *,
     overrides: Sequence[str] = (),
+    plugins: Sequence[str] = (),
     changed: Mapping[str, Any] | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> Cell:
     """Validate one composed and resolved job and make its objects.
 
-    `choices` names the presets chosen, `overrides` what the command line says (the only place that may name plugins),
-    `changed` the estimators' parameters that differ from their presets, `extra` further estimators given as objects.
-    Raises UserError for everything that can be known before a run.
+    `choices` names the presets chosen, `overrides` the job's settings, `plugins` the packages that the user's own
+    command line names, `changed` the estimators' parameters that differ from their presets, `extra` further estimators
+    given as objects. Raises UserError for everything that can be known before a run.
     """
     for key in plain:
         if key not in _TOP_LEVEL:
-            raise UserError(
-                f"{key}: unknown key{did_you_mean(str(key), _TOP_LEVEL) or '; allowed: ' + ', '.join(_TOP_LEVEL)}"
-            )
-    plugins = _plugins(overrides)
+            hint = did_you_mean(str(key), _TOP_LEVEL) or "; allowed: " + ", ".join(_TOP_LEVEL)
+            raise UserError(f"{key}: unknown key{hint}")
     if list(plain.get("plugins") or []) != list(plugins):
-        raise UserError(
-            f"plugins={plain.get('plugins')}: plugins can only be given on the command line, never in a file"
-        )
+        raise UserError(f"plugins={plain.get('plugins')}: only plugins=[...] on the command line can name them")
     _import_plugins(plugins)
-    check_number("reps", plain.get("reps"), least=1, integer=True)
-    check_number("seed", plain.get("seed"), least=0, integer=True)
+    check_number("reps", plain.get("reps"), least=1, most=100_000_000, integer=True)
+    check_number("seed", plain.get("seed"), least=0, most=2**63 - 1, integer=True)
     runner = _runner(plain)
     for group in ("scenario", "noise"):
-        if not plain.get(group):
-            raise UserError(f"{group}: none chosen; allowed: {', '.join(options(group))}")
-    scenario = construct(plain["scenario"], "scenario", plugins)
-    noise = construct(plain["noise"], "noise", plugins)
-    estimators: dict[str, Any] = {}
-    for group in ("filter", "estimator"):
-        for name, node in (plain.get(group) or {}).items():
-            if name in estimators:
-                raise UserError(f"{group}.{name}: the name is taken by a filter; every estimator needs its own")
-            estimators[name] = construct(node, f"{group}.{name}", plugins)
-            if not callable(estimators[name]):
-                raise UserError(f"{group}.{name}: {type(estimators[name]).__name__} is not an estimator")
-            _check_fit(f"{group}.{name}", estimators[name], scenario)
-    estimators.update(extra or {})
+        if not isinstance(choices.get(group), str) or not plain.get(group):
+            raise UserError(
+                f"{group}={choices.get(group)}: exactly one is needed; allowed: {', '.join(options(group))}"
+            )
+    scenario = _as("scenario", construct(plain["scenario"], "scenario", plugins), ("truth", "prior", "known_anchors"))
+    noise = _as("noise", construct(plain["noise"], "noise", plugins), ("sample",))
+    if not isinstance(scenario.name, str) or not scenario.name:
+        raise BadValue("scenario.name", scenario.name, "a text, which keys the random streams")
+    estimators = _estimators(plain, plugins, scenario)
+    for name, estimator in (extra or {}).items():
+        if name in estimators:
+            raise UserError(f"estimators[{name!r}]: a preset of this name is selected; choose another name")
+        estimators[name] = _as(f"estimators[{name!r}]", estimator, ("__call__",))
     if not estimators:
-        choices_text = ", ".join((*options("filter"), *options("estimator"))) or "none"
-        raise UserError(f"filter=[], estimator=[]: one must be given, e.g. 'filter=[ekf_vmf]'; allowed: {choices_text}")
+        known = ", ".join((*options("filter"), *options("estimator")))
+        raise UserError(f"filter=[], estimator=[]: one must be given, e.g. 'filter=[ekf_vmf]'; allowed: {known}")
     return Cell(
-        scenario_name=str(choices.get("scenario")),
-        noise_name=str(choices.get("noise")),
+        scenario_name=choices["scenario"],
+        noise_name=choices["noise"],
         scenario=scenario,
         noise=noise,
         estimators=estimators,
         seed=plain["seed"],
         reps=plain["reps"],
         runner=runner,
-        config={k: plain.get(k) for k in ("scenario", "noise", "filter", "estimator", "seed")},
+        config={k: plain.get(k) or None for k in ("scenario", "noise", "filter", "estimator")}
+        | {"seed": plain["seed"]},
         changed=dict(changed or {}),
         swept=tuple(o.partition("=")[0].lstrip("+") for o in overrides if "." in o.partition("=")[0]),
         experiment=choices.get("experiment"),
-        plugins=plugins,
+        plugins=tuple(plugins),
     )
 
 
-def _plugins(overrides: Sequence[str]) -> tuple[str, ...]:
-    """The packages that `plugins=[...]` on the command line names."""
-    import yaml
+def _estimators(plain: Mapping[str, Any], plugins: Sequence[str], scenario: Any) -> dict[str, Any]:
+    """Filters and estimators by name, each checked for what the runner will ask of it."""
+    found: dict[str, Any] = {}
+    for group in ("filter", "estimator"):
+        nodes = plain.get(group) or {}
+        if not isinstance(nodes, dict):
+            raise BadValue(group, nodes, f"{group}=[NAME,NAME] with presets of `aoabench list {group}`")
+        for name, node in nodes.items():
+            path = f"{group}.{name}"
+            if name in found:
+                raise UserError(f"{path}: the name is taken by a filter; every estimator needs its own")
+            found[name] = _as(path, construct(node, path, plugins), ("__call__",))
+            if not isinstance(getattr(found[name], "tile", 1), int) or getattr(found[name], "tile", 1) < 1:
+                raise BadValue(f"{path}.tile", found[name].tile, "an integer >= 1")
+            if hasattr(found[name], "measurement"):
+                _as(f"{path}.measurement", found[name].measurement, ("observe", "predict", "residual"))
+                motion = getattr(scenario, "motion", None)
+                if motion is None:
+                    raise UserError(f"{path}: a filter needs a scenario with a motion model; scenario.motion is null")
+                _as("scenario.motion", motion, ("matrices",))
+    return found
 
+
+def _as(path: str, obj: Any, needs: Sequence[str]) -> Any:
+    """The object, if it has the attributes that its role needs."""
+    for name in needs:
+        if not hasattr(obj, name):
+            raise UserError(f"{path}: {type(obj).__name__} has no {name!r}, which is needed here")
+    return obj
+
+
+def parse_plugins(overrides: Sequence[str]) -> tuple[str, ...]:
+    """The packages that `plugins=[...]` among the user's own overrides names."""
+    found: tuple[str, ...] = ()
     for override in overrides:
         key, _, value = override.partition("=")
         if key.lstrip("+") == "plugins":
-            names = yaml.safe_load(value) or []
-            names = names if isinstance(names, list) else [names]
+            names = [name.strip(" '\"") for name in value.strip(" []").split(",") if name.strip()]
             for name in names:
-                if not isinstance(name, str) or not all(part.isidentifier() for part in name.split(".")):
+                if not all(part.isidentifier() for part in name.split(".")):
                     raise BadValue("plugins", value, "a list of importable packages, e.g. plugins=[my_estimators]")
-            return tuple(names)
-    return ()
-
-
-def _check_fit(path: str, estimator: Any, scenario: Any) -> None:
-    """Refuse, before the run, a filter on a scenario without motion."""
-    if hasattr(estimator, "measurement") and getattr(scenario, "motion", None) is None:
-        raise UserError(f"{path}: a filter needs a scenario with a motion model; {type(scenario).__name__} has none")
+            found = tuple(names)
+    return found
 
 
 def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
-    node, store = plain.get("runner") or {}, plain.get("store") or {}
-    for path, given, known in (("runner", node, ("out", "n_jobs", "backend", "chunk")), ("store", store, ("steps",))):
-        for key in given:
+    nodes: dict[str, Any] = {}
+    for path, known in (("runner", ("out", "n_jobs", "backend", "chunk")), ("store", ("steps",))):
+        node = plain.get(path)
+        if not isinstance(node, dict):
+            raise BadValue(path, node, "keys " + ", ".join(known))
+        for key in node:
             if key not in known:
                 raise UserError(
                     f"{path}.{key}: unknown key{did_you_mean(key, known) or '; allowed: ' + ', '.join(known)}"
                 )
-    return RunnerOptions(**node, **store)
+        nodes |= node
+    if "out" not in nodes:
+        raise UserError("runner.out: missing; allowed: the path of a folder")
+    return RunnerOptions(**nodes)
 
 
 def _import_plugins(plugins: Sequence[str]) -> None:
@@ -273,5 +307,5 @@ def _import_plugins(plugins: Sequence[str]) -> None:
     for name in plugins:
         try:
             importlib.import_module(name)
-        except ImportError as error:
-            raise UserError(f"plugins=[{name}]: cannot be imported from here ({error})") from None
+        except Exception as error:  # the user's code: whatever it raises
+            raise UserError(f"plugins=[{name}]: cannot be imported: {type(error).__name__}: {error}") from None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from aoabench import metrics
 from aoabench.streams import ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, Streams, generator
-from aoabench.types import Anchors, Batch, Estimates, Measurements
+from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome, UserError
 
 Rows = dict[str, np.ndarray]
 
@@ -60,6 +60,9 @@ class Draws:
             prior_cov=None if prior is None else prior[1],
             **measured,  # type: ignore[arg-type]
         )
+        for shared in (known.position, known.rotation, *(getattr(batch, f.name) for f in fields(batch))):
+            if isinstance(shared, np.ndarray):
+                shared.setflags(write=False)  # all estimators see the same
         return np.stack([d[0] for d in drawn]), batch
 
 
@@ -99,23 +102,44 @@ def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray,
     size = tile_of(estimator)
     truth, batch = draws.tile(first, size)
     streams = Streams(draws.seed, draws.scenario.name, tuple(range(first, first + size)))
-    return truth, estimator(batch, draws.scenario, streams)
+    return truth, checked(estimator(batch, draws.scenario, streams), truth.shape[:2], type(estimator).__name__)
+
+
+def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimates:
+    """The estimates, if their arrays have the shapes (R, T, ...) that the protocol asks for; UserError otherwise.
+
+    A fix that claims a position and gives none (x or y not finite) is `failed`: nothing drops out of the counts.
+    """
+    wanted = {"position": (*shape, 3), "covariance": (*shape, 3, 3), "iterations": shape, "outcome": shape}
+    for field, expected in wanted.items():
+        value = getattr(estimates, field)
+        if value is None and field in ("covariance", "iterations"):
+            continue
+        if np.shape(value) != expected:
+            raise UserError(f"{name}: Estimates.{field} must have the shape {expected}, not {np.shape(value)}")
+    given = ~np.isin(estimates.outcome, (Outcome.FAILED, Outcome.REJECTED))
+    lost = given & ~np.isfinite(estimates.position[..., :2]).all(-1)
+    return replace(estimates, outcome=np.where(lost, Outcome.FAILED, estimates.outcome).astype(np.int8))
 
 
 def time_estimators(
     scenario: Any, noise: Any, estimators: Mapping[str, Any], seed: int, repeats: int = 3
 ) -> dict[str, tuple[float, int, int]]:
-    """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS at one thread."""
+    """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS at one thread.
+
+    After a first pass, which draws and warms up, up to `repeats` more, as long as they fit into about a second.
+    """
     result = {}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for name, estimator in estimators.items():
-            truth, _ = estimate_tile(draws, estimator, 0)  # draws, caches and compiled code are ready after this
-            seconds = []
-            for _ in range(repeats):
+            draws.tile(0, tile_of(estimator))
+            seconds: list[float] = []
+            while len(seconds) <= repeats and sum(seconds) < 1.0:
                 begin = time.perf_counter()
-                estimate_tile(draws, estimator, 0)
+                truth, _ = estimate_tile(draws, estimator, 0)
                 seconds.append(time.perf_counter() - begin)
+            seconds = seconds[1:] or seconds
             result[name] = (float(np.median(seconds)), truth.shape[0], truth.shape[1])
     return result
 

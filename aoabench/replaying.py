@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from aoabench import montecarlo, store, tables
+from aoabench import metrics, montecarlo, store, tables
 from aoabench.config import construct, did_you_mean
 from aoabench.types import UserError
 
@@ -14,13 +15,16 @@ from aoabench.types import UserError
 def replay(run: Path, replication: int, estimator: str, cell: str | None = None) -> str:
     """Write <run>/replay/<cell>-<estimator>-<replication>.parquet (a row per step) and return a text about it.
 
-    Raises UserError for a run, cell, estimator or number that is not there, and if the classes come from plug-ins.
+    Raises UserError for a run, cell, estimator or replication that is not there, and for classes of plug-ins or of a
+    session, which the stored config alone does not name.
     """
     if not (run / "cells").is_dir():
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
     records = {r["cell"]: r for r in tables.records(run)}
     if cell is None and len(records) > 1:
         raise UserError(f"--cell: this run has several; allowed: {', '.join(records)}")
+    if not records:
+        raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
     cell = cell or next(iter(records))
     if cell not in records:
         raise UserError(f"--cell={cell}: not in this run{did_you_mean(cell, records)}; allowed: {', '.join(records)}")
@@ -30,8 +34,9 @@ def replay(run: Path, replication: int, estimator: str, cell: str | None = None)
     if estimator not in presets:
         hint = did_you_mean(estimator, presets) or f"; allowed: {', '.join(presets)}"
         raise UserError(f"--estimator={estimator}: not in this run{hint}")
-    if replication < 0:
-        raise UserError(f"--replication={replication} is not allowed; allowed: an integer >= 0")
+    reps = record["estimators"][estimator]["reps"]
+    if not 0 <= replication < reps:
+        raise UserError(f"--replication={replication} is not in this run; allowed: 0 to {reps - 1}")
     scenario, noise = construct(config["scenario"], "scenario"), construct(config["noise"], "noise")
     draws = montecarlo.Draws(scenario, noise, record["seed"])
     method = construct(presets[estimator], estimator)
@@ -53,5 +58,9 @@ def replay(run: Path, replication: int, estimator: str, cell: str | None = None)
     path = run / "replay" / f"{cell}-{estimator}-{replication}.parquet"
     kinds = {name: "int64" if name == "step" else "double" for name in columns}
     store.write_table(path, columns, store.schema(kinds, store.provenance(config)))
-    rmse = float(np.sqrt(np.mean(columns["error_3d_m"] ** 2)))
-    return f"cell {cell}, {estimator}, replication {replication}: rmse_3d_m = {rmse:.17g}\ntrace: {path}"
+    rmse = float(metrics.per_replication(estimates, truth[..., :3])["rmse_3d_m"][i])
+    rows = pd.read_parquet(run / "replications.parquet" / f"{cell}.parquet")
+    stored = rows[(rows["estimator"] == estimator) & (rows["replication"] == replication)]["rmse_3d_m"].iloc[0]
+    same = rmse == stored or (np.isnan(rmse) and np.isnan(stored))
+    says = "as stored" if same else f"stored is {stored:.17g}: code or libraries have changed since"
+    return f"cell {cell}, {estimator}, replication {replication}: rmse_3d_m = {rmse:.17g} ({says})\ntrace: {path}"

@@ -41,7 +41,7 @@ def reproduce(names: Sequence[str], scale: str, only: str | None, results: Path,
         raise UserError(
             f"--only={only}: unknown item{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}"
         )
-    runner.writable(str(results))
+    runner.writable(str(results), "--results")
     for s, item in items:
         begin = time.perf_counter()
         frame, origin = compute(s, item, scale, results)
@@ -73,7 +73,7 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
 
 def draw(names: Sequence[str], results: Path, echo: Echo, only: set[str] | None = None) -> None:
     """Figures of the named studies, and verdicts and page of all, from the tables under `results`."""
-    runner.writable(str(results / "figures"))
+    runner.writable(str(results / "figures"), "--results")
     for name in names:
         s = study.load(name)
         for item in s.items:

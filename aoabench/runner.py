@@ -13,7 +13,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,21 +55,47 @@ def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     Raises UserError if the output folder cannot be written.
     """
     begin = time.perf_counter()
-    options = cells[0].runner
-    out = writable(options.out)
+    cells = merged(cells)
+    out = writable(cells[0].runner.out)
     keys = {cell.id: {name: store.part_key(cell, name) for name in cell.estimators} for cell in cells}
-    tasks = [task for cell in cells for task in _tasks(cell, keys[cell.id], out)]
+    claimed: set[str] = set()  # cells that differ in another estimator's parameter share parts
+    tasks = [task for cell in cells for task in _tasks(cell, keys[cell.id], out, claimed)]
     wanted = sum(cell.reps * len(cell.estimators) for cell in cells)
     computed = sum(task.size for task in tasks)
     _compute(tasks, out, progress)
+    timing = tables.known_timing(out)
     for cell in cells:
-        tables.record_cell(out, cell, keys[cell.id], _timing(cell, keys[cell.id], out))
+        tables.record_cell(out, cell, keys[cell.id], store.draws_key(cell), timing)
     tables.collect(out, {cell.id for cell in cells})
+    for cell in cells:
+        if fresh := {name: key for name, key in keys[cell.id].items() if key not in timing}:
+            timing |= _timed(cell, fresh)
+            tables.record_cell(out, cell, keys[cell.id], store.draws_key(cell), timing)
+    tables.write_timing(out)
     return RunReport(out, computed, wanted - computed, time.perf_counter() - begin)
 
 
-def writable(folder: str) -> Path:
-    """The folder, made if need be; UserError if that, or writing into it, is not possible."""
+def merged(cells: Sequence[Cell]) -> list[Cell]:
+    """Cells that are the same scenario, noise, seed and parameters as one, with all their estimators; largest first."""
+    found: dict[str, Cell] = {}
+    for cell in cells:
+        other = found.setdefault(cell.id, cell)
+        if other is not cell:
+            config = dict(other.config)
+            for group in ("filter", "estimator"):
+                config[group] = {**(other.config[group] or {}), **(cell.config[group] or {})}
+            found[cell.id] = replace(
+                other,
+                estimators={**other.estimators, **cell.estimators},
+                config=config,
+                reps=max(other.reps, cell.reps),
+                swept=tuple(dict.fromkeys((*other.swept, *cell.swept))),
+            )
+    return sorted(found.values(), key=lambda cell: -cell.reps)
+
+
+def writable(folder: str, key: str = "runner.out") -> Path:
+    """The folder, made if need be; UserError naming `key` if that, or writing into it, is not possible."""
     path = Path(folder).expanduser()
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -83,11 +109,15 @@ def writable(folder: str) -> Path:
     return path
 
 
-def _tasks(cell: Cell, keys: Mapping[str, str], out: Path) -> Iterator[Task]:
+def _tasks(cell: Cell, keys: Mapping[str, str], out: Path, claimed: set[str]) -> Iterator[Task]:
     """Blocks of whole tiles; estimators of one tile size that miss the same share a block, and so its draws."""
     gaps: dict[tuple[int, int, int], dict[str, str]] = defaultdict(dict)
     for name, key in keys.items():
-        for gap in store.missing_ranges(store.intact_parts(out, key, cell.runner.steps), cell.reps):
+        if key in claimed:
+            continue
+        claimed.add(key)
+        done = [(part.start, part.stop) for part in store.intact_parts(out, key, cell.runner.steps)]
+        for gap in store.missing_ranges(done, cell.reps):
             gaps[*gap, montecarlo.tile_of(cell.estimators[name])][name] = key
     for (start, stop, tile), names in sorted(gaps.items()):
         chunk = cell.runner.chunk or min(math.ceil((stop - start) / (4 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK)
@@ -163,16 +193,16 @@ def _bar(total: int, shown: bool) -> Iterator[Any]:
         yield advance
 
 
-def _timing(cell: Cell, keys: Mapping[str, str], out: Path) -> dict[str, Any]:
-    """Serial timings of the cell's estimators; those noted for the same key are kept."""
-    timing = tables.known_timing(out, cell.id, keys)
-    fresh = {name: e for name, e in cell.estimators.items() if name not in timing}
-    measured = montecarlo.time_estimators(cell.scenario, cell.noise, fresh, cell.seed) if fresh else {}
-    for name, (seconds, replications, steps) in measured.items():
-        timing[name] = {
+def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
+    """Serial timings, by part key, of some of the cell's estimators."""
+    estimators = {name: cell.estimators[name] for name in keys}
+    measured = montecarlo.time_estimators(cell.scenario, cell.noise, estimators, cell.seed)
+    return {
+        keys[name]: {
             "seconds_per_step": seconds / (replications * steps),
             "seconds_per_replication": seconds / replications,
             "replications": replications,
             "steps": steps,
         }
-    return timing
+        for name, (seconds, replications, steps) in measured.items()
+    }

@@ -76,7 +76,10 @@ def pooled_rmse(rmse: ArrayLike, fixes: ArrayLike | None = None) -> Estimate:
 
 
 def quantile(values: ArrayLike, probability: float) -> Estimate:
-    """Quantile over replications (N,) with the Maritz-Jarrett standard error."""
+    """Quantile over replications (N,) with the Maritz-Jarrett standard error.
+
+    That is the deviation, under the empirical distribution, of the order statistic nearest to the quantile.
+    """
     x = np.sort(_finite(values))
     n = len(x)
     if n == 0:
@@ -86,12 +89,9 @@ def quantile(values: ArrayLike, probability: float) -> Estimate:
         return Estimate(value, math.nan)
     from scipy.special import betainc
 
-    m = math.floor(probability * n + 0.5)
-    a, b = max(m - 1, 1e-9) if m > 1 else 1.0, max(n - m, 1.0)
-    cdf = betainc(a, b, np.arange(n + 1) / n)
-    w = np.diff(cdf)
-    first, second = float(w @ x), float(w @ x**2)
-    return Estimate(value, math.sqrt(max(second - first**2, 0.0)))
+    m = min(max(math.floor(probability * n + 0.5), 1), n)
+    w = np.diff(betainc(m, n - m + 1, np.arange(n + 1) / n))
+    return Estimate(value, math.sqrt(float(w @ (x - w @ x) ** 2)))
 
 
 def rate(count: int, n: int) -> Estimate:
@@ -184,20 +184,38 @@ def verdict(
     (low, high); `printed_se` is the printed number's own Monte Carlo error, where its sample size is known. Reproduced
     means: ours lies in the printed interval, widened by z standard errors; for a claim with `strict`: it lies inside by
     z standard errors, so that chance alone does not confirm it. `in_kind` says whether ordering or shape holds.
-    With z = 3 a true number is missed with probability below 0.3 %.
+    With z = 3 a true number is missed with probability below 0.3 %. A number without a standard error (NaN) is not
+    judged: not computed. Errors that are exactly 0 belong to closed forms.
     """
-    if ours is None or math.isnan(ours.value):
+    if ours is None or math.isnan(ours.value) or math.isnan(ours.se):
         return NOT_COMPUTED
     if printed is None:
         return NOT_PRINTED
     low, high = printed if isinstance(printed, tuple) else (printed - rounding, printed + rounding)
-    slack = z * math.hypot(0.0 if math.isnan(ours.se) else ours.se, printed_se)
+    slack = z * math.hypot(ours.se, printed_se)
     tolerance = 1e-9 * max(abs(low) if math.isfinite(low) else 0, abs(high) if math.isfinite(high) else 0)
     if strict:
         slack = -slack
     if low - slack - tolerance <= ours.value <= high + slack + tolerance:
         return REPRODUCED
     return IN_KIND if in_kind else NOT_REPRODUCIBLE
+
+
+def undecided(printed: Any, rounding: float, ours: Estimate, *, strict: bool = False, z: float = 3.0) -> str:
+    """Why a verdict rests on too few replications: a sentence, or nothing if it does not.
+
+    A strict claim is undecided while ours lies within z standard errors of its bound; a number while z standard errors
+    exceed five times its rounding.
+    """
+    slack = z * ours.se
+    if strict and isinstance(printed, tuple):
+        low, high = printed
+        outside = ours.value + slack < low or ours.value - slack > high
+        inside = low + slack <= ours.value <= high - slack
+        return "" if inside or outside else f"undecided: within {z:g} standard errors of the bound"
+    if rounding > 0 and slack > 5 * rounding:
+        return "undecided: the standard error is too large for the printed digits"
+    return ""
 
 
 def same_order(printed: ArrayLike, ours: ArrayLike) -> bool:

@@ -1,7 +1,8 @@
 """Parquet in and out: parts that are never computed twice, their keys, their provenance and integrity.
 
-    <out>/parts/<key>/<start>-<stop>.parquet   rows of one estimator in one cell, with provenance in the file's metadata
-    <out>/parts/<key>/<start>-<stop>.json      its checksum; a part without a matching one is computed again
+    <out>/parts/<key>/<start>-<stop>.rows.<unique>.parquet   rows of one estimator in one cell, provenance as metadata
+    <out>/parts/<key>/<start>-<stop>.json                    its seal: file names and checksums; without a matching one
+                                                             the part is computed again
 
 A part's key covers everything its numbers depend on (scenario, noise, this estimator's config, seed, source code,
 library versions) and nothing else; the tables that people read are made from the parts by `tables`.
@@ -13,15 +14,17 @@ import ast
 import functools
 import hashlib
 import importlib.util
-import inspect
 import json
 import os
 import sys
+import sysconfig
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -56,83 +59,125 @@ def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = No
 # --- keys -------------------------------------------------------------------------------------------------------------
 
 
+def shipped(folder: str) -> Path:
+    """Where `configs` or `experiments` lie: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent
+    inside = package / folder
+    return inside if inside.is_dir() else package.parent / folder
+
+
 def part_key(cell: Any, estimator: str) -> str:
     """Hash of everything that one estimator's rows in one cell depend on."""
     obj = cell.estimators[estimator]
-    for group in ("filter", "estimator"):
-        if estimator in (cell.config.get(group) or {}):
-            described: Any = cell.config[group][estimator]
-            break
-    else:
-        described = repr(obj)
-    roots = {"aoabench.montecarlo"} | {type(o).__module__ for o in _objects([cell.scenario, cell.noise, obj])}
-    content = {
+    preset = {**(cell.config.get("filter") or {}), **(cell.config.get("estimator") or {})}.get(estimator)
+    return _hash({
+        "draws": draws_key(cell),
+        "estimator": _described(obj) if preset is None else preset,
+        "source": source_hash(_modules([obj]), cell.plugins),
+    })  # fmt: skip
+
+
+def draws_key(cell: Any) -> str:
+    """Hash of everything that the simulated truth, measurements and scores of one cell depend on."""
+    return _hash({
         "scenario": cell.config["scenario"],
         "noise": cell.config["noise"],
-        "estimator": described,
         "seed": cell.seed,
-        "source": source_hash(frozenset(roots), cell.plugins) + _loose_source(obj),
-        "versions": {name: metadata.version(name) for name in ("numpy", "scipy")} | {"numba": _version("numba")},
-    }
+        "source": source_hash({"aoabench.montecarlo", *_modules([cell.scenario, cell.noise])}, cell.plugins),
+        "versions": {name: version(name) for name in ("numpy", "scipy", "numba")},
+    })  # fmt: skip
+
+
+def _hash(content: Any) -> str:
     text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _objects(values: Iterable[Any]) -> Iterable[Any]:
-    """The dataclass objects nested in some values."""
+def _modules(values: Iterable[Any]) -> set[str]:
+    """Modules that define the classes of some values and of the dataclasses nested in them."""
+    found = set()
     for value in values:
-        if hasattr(value, "__dataclass_fields__"):
-            yield value
-            yield from _objects(getattr(value, name) for name in value.__dataclass_fields__)
-        elif isinstance(value, list | tuple):
-            yield from _objects(value)
+        if isinstance(value, list | tuple):
+            found |= _modules(value)
+        elif is_dataclass(value) or callable(value):
+            found.add(type(value).__module__ if not isinstance(value, FunctionType) else value.__module__)
+            found |= _modules(getattr(value, f.name) for f in fields(value)) if is_dataclass(value) else set()
+    return found
 
 
-def _loose_source(obj: Any) -> str:
-    """Source of a class that was typed into a session (no module to hash); unique, so never reused, if unknown."""
-    if type(obj).__module__ != "__main__":
-        return ""
-    try:
-        return hashlib.blake2b(inspect.getsource(type(obj)).encode(), digest_size=16).hexdigest()
-    except (OSError, TypeError):
-        return uuid.uuid4().hex
+def _described(value: Any) -> Any:
+    """The content of an object as plain values; something unique, so that nothing is reused, where it is unknown."""
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        return [str(value.dtype), value.shape, hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest()]
+    if isinstance(value, list | tuple):
+        return [_described(v) for v in value]
+    if isinstance(value, dict):
+        return {str(k): _described(v) for k, v in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        name = f"{type(value).__module__}.{type(value).__qualname__}"
+        return [name, {f.name: _described(getattr(value, f.name)) for f in fields(value)}]
+    return uuid.uuid4().hex
 
 
-@functools.lru_cache(maxsize=512)
-def source_hash(roots: frozenset[str], plugins: tuple[str, ...] = ()) -> str:
-    """Hash of the syntax trees, docstrings left out, of the modules `roots` and all that they import from us.
-
-    "Us" are the package itself, the plug-in packages, and the roots.
+def source_hash(roots: Iterable[str], plugins: Sequence[str] = ()) -> str:
+    """Hash of the syntax trees, docstrings left out, of the modules `roots` and of all they import, as far as that is
+    not an installed library. A class typed into a session has no file: its hash is unique, so it is never reused.
     """
-    ours = {"aoabench", *plugins, *(root.partition(".")[0] for root in roots)} - {"__main__"}
+    ours = ("aoabench", *plugins)
     seen: dict[str, str] = {}
-    todo = sorted(roots - {"__main__"})
+    todo = sorted(roots)
     while todo:
         name = todo.pop()
-        if name in seen or name.partition(".")[0] not in ours:
+        if name in seen:
             continue
         file = _file_of(name)
         if file is None:
+            if name == "__main__":
+                seen[name] = uuid.uuid4().hex
             continue
-        tree = ast.parse(file.read_bytes())
-        seen[name] = ""
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Import):
-                todo += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                base = importlib.util.resolve_name("." * node.level + (node.module or ""), _package(name, file))
-                inner = [f"{base}.{alias.name}" for alias in node.names]
-                todo += [name if _file_of(name) else base for name in inner]
-            body = getattr(node, "body", None)
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and body:
-                first = body[0]
-                if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
-                    node.body = body[1:]
-        seen[name] = ast.dump(tree)
-    return hashlib.blake2b(json.dumps(sorted(seen.items())).encode(), digest_size=16).hexdigest()
+        if not _is_ours(name, file, ours):
+            continue
+        stat = file.stat()
+        seen[name], imports = _parsed(file, stat.st_mtime_ns, stat.st_size)
+        for level, base, names in imports:
+            full = importlib.util.resolve_name("." * level + base, _package(name, file)) if level else base
+            inner = [f"{full}.{n}" for n in names]
+            todo += [n if _file_of(n) else full for n in inner] or [full]
+    return _hash(sorted(seen.items()))
+
+
+def _is_ours(name: str, file: Path, ours: Sequence[str]) -> bool:
+    if name == "__main__" or any(name == p or name.startswith(p + ".") for p in ours):
+        return True
+    libraries = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"))
+    return not (
+        {"site-packages", "dist-packages"} & set(file.parts) or any(file.is_relative_to(p) for p in libraries if p)
+    )
+
+
+@functools.lru_cache(maxsize=512)
+def _parsed(file: Path, mtime: int, size: int) -> tuple[str, list[tuple[int, str, list[str]]]]:
+    """Syntax tree as text, and the imports (level, module, names) of a file."""
+    tree = ast.parse(file.read_bytes())
+    imports: list[tuple[int, str, list[str]]] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imports += [(0, alias.name, []) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            imports.append((node.level, node.module or "", [alias.name for alias in node.names]))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and node.body:
+            first = node.body[0]
+            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+                node.body = node.body[1:]
+    return hashlib.blake2b(ast.dump(tree).encode(), digest_size=16).hexdigest(), imports
 
 
 def _file_of(module: str) -> Path | None:
+    if module == "__main__":
+        name = getattr(sys.modules["__main__"], "__file__", None)
+        return Path(name).resolve() if name and Path(name).is_file() else None
     try:
         spec = importlib.util.find_spec(module)
     except (ImportError, AttributeError, ValueError):
@@ -144,7 +189,8 @@ def _package(module: str, file: Path) -> str:
     return module if file.name == "__init__.py" else module.rpartition(".")[0]
 
 
-def _version(name: str) -> str | None:
+def version(name: str) -> str | None:
+    """Version of an installed library; None if it is not there."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -155,9 +201,9 @@ def provenance(config: Any = None) -> dict[str, Any]:
     """Where numbers come from: config, versions, processor, time."""
     return {
         "config": config,
-        "aoabench": _version("aoabench"),
+        "aoabench": version("aoabench"),
         "python": sys.version.split()[0],
-        "libraries": {n: _version(n) for n in ("numpy", "scipy", "pandas", "pyarrow", "hydra-core", "joblib", "numba")},
+        "libraries": {n: version(n) for n in ("numpy", "scipy", "pandas", "pyarrow", "hydra-core", "joblib", "numba")},
         "cpu_features": _cpu_features(),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -183,15 +229,23 @@ def write_atomically(path: Path, write: Any) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> None:
-    """Columns of equal length to a Parquet file of this schema, atomically."""
+def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> str:
+    """Columns of equal length to a Parquet file of this schema, atomically; returns the checksum of its content."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     table = pa.table(
         [pa.array(columns[f.name], type=f.type, from_pandas=f.name in IDENTITY) for f in schema_], schema=schema_
     )
-    write_atomically(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+    checksum = ""
+
+    def write(temporary: Path) -> None:
+        nonlocal checksum
+        pq.write_table(table, temporary, compression="zstd")
+        checksum = _checksum(temporary)
+
+    write_atomically(path, write)
+    return checksum
 
 
 def write_frame(path: Path, frame: pd.DataFrame, origin: Mapping[str, Any] | None = None) -> None:
@@ -213,41 +267,51 @@ def read_provenance(path: Path) -> dict[str, Any]:
     return json.loads(text) if text else {}
 
 
-def part_path(out: Path, key: str, start: int, stop: int, steps: bool = False) -> Path:
-    """Where the rows of replications start..stop-1 lie."""
-    return out / "parts" / key / f"{start:09d}-{stop:09d}{'.steps' if steps else ''}.parquet"
+@dataclass(frozen=True)
+class Part:
+    """Replications start..stop-1 of one estimator: where its rows and, if kept, its steps lie."""
+
+    start: int
+    stop: int
+    rows: Path
+    steps: Path | None
 
 
 def write_part(out: Path, key: str, start: int, stop: int, rows: Any, steps: Any, origin: Mapping[str, Any]) -> None:
-    """One estimator's rows (and steps, if any) of a block; the checksum goes last and makes the part count."""
+    """One estimator's rows (and steps, if any) of a block.
+
+    Files get names of their own; the seal <start>-<stop>.json, written last, names them with their checksums and makes
+    the part count. So two processes that write the same part do not mix.
+    """
+    folder, span = out / "parts" / key, f"{start:09d}-{stop:09d}"
     written = {}
-    for content, columns, detailed in ((rows, REPLICATIONS, False), (steps, STEPS, True)):
-        if content is None:
-            continue
-        path = part_path(out, key, start, stop, detailed)
-        inner = {name: kind for name, kind in columns.items() if name not in IDENTITY}
-        write_table(path, content, schema(inner, origin))
-        written[path.name] = _checksum(path)
-    seal = part_path(out, key, start, stop).with_suffix(".json")
-    write_atomically(seal, lambda temporary: temporary.write_text(json.dumps(written), encoding="utf-8"))
+    for kind, content, columns in (("rows", rows, REPLICATIONS), ("steps", steps, STEPS)):
+        if content is not None:
+            path = folder / f"{span}.{kind}.{uuid.uuid4().hex[:8]}.parquet"
+            inner = {name: type_ for name, type_ in columns.items() if name not in IDENTITY}
+            written[kind] = [path.name, write_table(path, content, schema(inner, origin))]
+    seal = json.dumps(written)
+    write_atomically(folder / f"{span}.json", lambda temporary: temporary.write_text(seal, encoding="utf-8"))
 
 
 def _checksum(path: Path) -> str:
     return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
 
 
-def intact_parts(out: Path, key: str, steps: bool = False) -> list[tuple[int, int]]:
-    """Ranges (start, stop) of the parts whose checksum fits, in order; a torn or altered one is not listed."""
+def intact_parts(out: Path, key: str, steps: bool = False) -> list[Part]:
+    """The parts whose checksums fit, in order; a torn or altered one is not listed."""
     found = []
     for seal in sorted((out / "parts" / key).glob("*.json")):
         try:
-            sums = json.loads(seal.read_text(encoding="utf-8"))
-            good = all(_checksum(seal.parent / name) == checksum for name, checksum in sums.items())
-        except (OSError, ValueError, AttributeError):
+            named = json.loads(seal.read_text(encoding="utf-8"))
+            files = {kind: seal.parent / Path(name).name for kind, (name, _) in named.items()}
+            good = all(_checksum(files[kind]) == checksum for kind, (_, checksum) in named.items())
+            start, stop = (int(n) for n in seal.stem.split("-"))
+            part = Part(start, stop, files["rows"], files.get("steps"))
+        except (OSError, ValueError, AttributeError, KeyError, TypeError):
             continue
-        start, stop = (int(n) for n in seal.stem.split("-"))
-        if good and (not steps or part_path(out, key, start, stop, True).name in sums):
-            found.append((start, stop))
+        if good and (part.steps or not steps):
+            found.append(part)
     return found
 
 

@@ -21,7 +21,6 @@ from aoabench.store import (
     STEPS,
     flatten,
     intact_parts,
-    part_path,
     provenance,
     schema,
     write_atomically,
@@ -39,52 +38,67 @@ TIMING = {
 }  # fmt: skip
 
 
-def record_cell(out: Path, cell: Any, keys: Mapping[str, str], timing: Mapping[str, Any]) -> None:
-    """Note that the tables of `out` shall show this cell with these estimators (those noted earlier stay)."""
+def record_cell(out: Path, cell: Any, keys: Mapping[str, str], draws: str, timing: Mapping[str, Any]) -> None:
+    """Note that the tables of `out` shall show this cell with these estimators.
+
+    Estimators noted earlier stay, if they saw the same draws; those of an older simulation are dropped, because nobody
+    may pair them.
+    """
     path = out / "cells" / f"{cell.id}.json"
-    record: dict[str, Any] = {"estimators": {}}
-    if path.exists():
-        with contextlib.suppress(ValueError):
-            record = json.loads(path.read_text(encoding="utf-8"))
+    before = _read_record(path)
+    if before.get("draws") != draws:
+        before = {"experiment": before.get("experiment")}
+    entries = dict(before.get("estimators", {}))
+    for name, key in keys.items():
+        entries[name] = {"key": key, "reps": cell.reps, "steps": cell.runner.steps, "timing": timing.get(key)}
     config = dict(cell.config)
     for group in ("filter", "estimator"):
-        config[group] = {**(record.get("config", {}).get(group) or {}), **(cell.config.get(group) or {})}
-    entries = record["estimators"]
-    for name, key in keys.items():
-        entries[name] = {"key": key, "reps": cell.reps, "steps": cell.runner.steps, "timing": timing.get(name)}
+        config[group] = {**(before.get("config", {}).get(group) or {}), **(cell.config.get(group) or {})}
     record = {
-        "cell": cell.id, "experiment": cell.experiment, "scenario": cell.scenario_name, "noise": cell.noise_name,
-        "seed": cell.seed, "changed": dict(cell.changed), "swept": list(cell.swept), "config": config,
-        "estimators": entries, "provenance": provenance(),
+        "cell": cell.id, "experiment": cell.experiment or before.get("experiment"), "scenario": cell.scenario_name,
+        "noise": cell.noise_name, "seed": cell.seed, "draws": draws, "changed": dict(cell.changed),
+        "swept": list(cell.swept), "config": config, "estimators": entries, "provenance": provenance(),
     }  # fmt: skip
     write_atomically(path, lambda t: t.write_text(json.dumps(record, indent=1, default=str), encoding="utf-8"))
 
 
+def _read_record(path: Path) -> dict[str, Any]:
+    """A cell's record; {} if there is none or it is torn."""
+    with contextlib.suppress(OSError, ValueError):
+        record = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(record, dict):
+            return record
+    return {}
+
+
 def records(out: Path) -> list[dict[str, Any]]:
     """The noted cells, by name."""
-    return [json.loads(p.read_text(encoding="utf-8")) for p in sorted((out / "cells").glob("*.json"))]
+    found = [_read_record(path) for path in sorted((out / "cells").glob("*.json"))]
+    return [record for record in found if record]
 
 
-def known_timing(out: Path, cell_id: str, keys: Mapping[str, str]) -> dict[str, Any]:
-    """Timings noted earlier for estimators whose keys have not changed."""
-    path = out / "cells" / f"{cell_id}.json"
-    if not path.exists():
-        return {}
-    entries = json.loads(path.read_text(encoding="utf-8"))["estimators"]
-    return {n: e["timing"] for n, e in entries.items() if keys.get(n) == e["key"] and e.get("timing")}
+def known_timing(out: Path) -> dict[str, Any]:
+    """Timings noted so far, by part key."""
+    return {e["key"]: e["timing"] for r in records(out) for e in r["estimators"].values() if e.get("timing")}
 
 
 def collect(out: Path, only: Iterable[str] | None = None) -> None:
-    """Make the tables of `out` from its parts; `only` names the cells whose rows have changed (None: all)."""
+    """Make the tables of `out` from its parts; `only` names the cells whose rows have changed (None: all).
+
+    Raises RuntimeError if a part has vanished, so that no table is silently short.
+    """
     import pandas as pd
 
     noted = records(out)
     changed = None if only is None else set(only)
     for record in noted:
-        if changed is None or record["cell"] in changed:
+        path = out / "replications.parquet" / f"{record['cell']}.parquet"
+        if changed is None or record["cell"] in changed or not path.exists():
             _collect_rows(out, record, REPLICATIONS, "replications", steps=False)
             if any(entry["steps"] for entry in record["estimators"].values()):
                 _collect_rows(out, record, STEPS, "steps", steps=True)
+            else:
+                (out / "steps.parquet" / f"{record['cell']}.parquet").unlink(missing_ok=True)
     swept = swept_parameters(noted)
     noted.sort(key=lambda r: (r["experiment"] or "", r["scenario"], r["noise"], _natural(swept[r["cell"]].values())))
     cells = pd.DataFrame(
@@ -108,9 +122,14 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     summary = pd.DataFrame(rows)
     summary["experiment"] = summary["experiment"].astype("string")
     write_frame(out / "summary.parquet", summary)
+    write_timing(out)
+
+
+def write_timing(out: Path) -> None:
+    """The timing table from the noted cells."""
     timed = [
         {**{k: r[k] for k in IDENTITY[:4]}, "estimator": name, **entry["timing"]}
-        for r in noted
+        for r in records(out)
         for name, entry in r["estimators"].items()
         if entry.get("timing")
     ]
@@ -131,19 +150,24 @@ def _collect_rows(out: Path, record: Mapping[str, Any], columns: Mapping[str, st
                 if steps and not entry["steps"]:
                     continue
                 position = 0
-                for start, stop in intact_parts(out, entry["key"], steps):
-                    if stop <= position or start >= entry["reps"]:
+                for found in intact_parts(out, entry["key"], steps):
+                    if found.stop <= position or found.start >= entry["reps"]:
                         continue
-                    part = pq.read_table(part_path(out, entry["key"], start, stop, steps), schema=inner)
+                    if found.start > position:
+                        break
+                    part = pq.read_table(found.steps if steps else found.rows, schema=inner)
                     number = part["replication"]
                     keep = pc.and_(pc.greater_equal(number, position), pc.less(number, entry["reps"]))
                     part = part.filter(keep)
-                    position = stop
+                    position = found.stop
                     same = {**{k: record[k] for k in IDENTITY[:4]}, "estimator": name}
                     full = [
                         pa.array([same[f.name]] * len(part), f.type) if f.name in same else part[f.name] for f in outer
                     ]
                     writer.write_table(pa.table(full, schema=outer))
+                if position < entry["reps"]:
+                    gap = f"replications from {position} on of {name} in cell {record['cell']} are not there any more"
+                    raise RuntimeError(f"{out}: {gap}; run the same command again")
 
     write_atomically(out / f"{table}.parquet" / f"{record['cell']}.parquet", write)
 

@@ -58,7 +58,7 @@ def check_number(
     if value is None and optional:
         return
     good = isinstance(value, (int, np.integer) if integer else (int, float, np.integer, np.floating))
-    if not good or isinstance(value, bool) or not math.isfinite(value):  # type: ignore[arg-type]
+    if not good or isinstance(value, bool) or (isinstance(value, float) and not math.isfinite(value)):
         raise BadValue(key, value, allowed)
     if not (above < value and least <= value <= most):  # type: ignore[operator]
         raise BadValue(key, value, allowed)

@@ -74,6 +74,15 @@ MALICIOUS = {
     "own hydra group": ("hydra/callbacks/x.yaml", "evil: {_target_: os.system, command: touch HIT}\n"),
     "dotted": ("experiment/x.yaml", "# @package _global_\nhydra.callbacks.evil: {_target_: os.system}\n"),
     "plugins": ("experiment/x.yaml", "# @package _global_\nplugins: [os]\n"),
+    "sweeper params name plugins": (
+        "experiment/x.yaml",
+        "# @package _global_\nhydra:\n  sweeper:\n    params:\n      plugins: '[evil]'\n",
+    ),
+    "sweeper params reach hydra": (
+        "experiment/x.yaml",
+        "# @package _global_\nhydra:\n  sweeper:\n    params:\n      +hydra.job_logging.handlers: '{h: {class: evil.H}}'\n",
+    ),
+    "header after a blank": ("noise/x.yaml", " # @package hydra.callbacks\nevil: {_target_: os.system}\n"),
     "sweeper itself": ("experiment/x.yaml", "# @package _global_\nhydra:\n  sweeper: {_target_: os.system}\n"),
 }
 
@@ -103,6 +112,32 @@ def test_targets_from_outside_are_refused(text, tmp_path, monkeypatch):
     with pytest.raises(UserError):
         compose_cells(["filter=[ekf_vmf]", "noise=evil", "reps=2"], config_dir="conf")
     assert not (tmp_path / "HIT").exists()
+
+
+def test_linked_folders_are_read_as_hydra_reads_them(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "x.yaml").write_text(
+        "# @package _global_\nhydra:\n  callbacks: {evil: {_target_: os.system}}\n"
+    )
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf" / "experiment").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match="callbacks"):
+        compose_cells(["filter=[ekf_vmf]", "experiment=x"], config_dir=str(tmp_path / "conf"))
+
+
+def test_files_beside_the_groups_are_none_of_our_business(tmp_path):
+    (tmp_path / "mkdocs.yml").write_text("plugins: [search]\nx: !Ref y\n")
+    assert len(compose_cells(["filter=[ekf_vmf]"], config_dir=str(tmp_path))) == 1
+
+
+def test_overrides_of_the_python_interface_cannot_reach_hydra_either():
+    for override in (
+        "hydra.searchpath=[file:///tmp]",
+        "+hydra.callbacks.x={_target_:os.system}",
+        "hydra/launcher=basic",
+    ):
+        with pytest.raises(UserError, match="hydra"):
+            compose_cells(["filter=[ekf_vmf]", override])
 
 
 def test_a_users_experiment_may_sweep(tmp_path):

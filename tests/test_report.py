@@ -73,6 +73,17 @@ def test_page_holds_printed_and_our_numbers_and_says_what_is_not_computed(result
     assert "N12" in html
 
 
+def made_up_runs(layouts, counts=(10000,)):
+    """Replications with random errors in the form that the runner gives."""
+    rng = np.random.default_rng(1)
+    order = study.load("nurminen2018").figures.ORDER
+    names = [n for n in order if n.startswith("pf")] if len(counts) > 1 else order
+    return pd.DataFrame([
+        {"scenario": l, "noise": z, "estimator": n, "replication": r, "rmse_3d_m": rng.gamma(9), "filter.pf_vmf.particles": c}
+        for l in layouts for z in ("ae_flip", "vmf") for c in counts for n in names for r in range(12)
+    ])  # fmt: skip
+
+
 def test_printed_ids_are_found_by_the_figures_of_a_full_run():
     """Every id in printed.yaml is one that figures.py can give, on tables with made-up numbers."""
     s = study.load("nurminen2018")
@@ -82,10 +93,9 @@ def test_printed_ids_are_found_by_the_figures_of_a_full_run():
             {"estimator": n, "frame_rpy_deg": f, "rmse_mean_3d_m": 1.0, "se_m": 0.1, "change_percent": 2.0, "change_se": 1.0}
             for n in names for f in ("[0, 0, 0]", "[90, 0, 0]")
         ]),
-        "kalman": pd.DataFrame([
-            {"noise": z, "estimator": n, "above_own_vmf_percent": 1.0, "above_own_vmf_se": 0.1}
-            for z in ("ae_flip", "vmf") for n in names
-        ]),
+        "fig4": s.numbers.fig4(made_up_runs(["square_track"])),
+        "layouts": s.numbers.layouts(made_up_runs([f"square_track{v}" for v in ("", "_far", "_corner", "_sides", "_upright")])),
+        "particles": s.numbers.particles(made_up_runs(["square_track"], [3162, 10000])),
         "table1": s.numbers.table1("quick"), "fig1": s.numbers.fig1("quick"), "fig2": s.numbers.fig2("quick"),
     }  # fmt: skip
     found = {key for name, frame in made_up.items() for key in getattr(s.figures, f"{name}_values")(frame)}

@@ -40,12 +40,20 @@ def test_standard_errors_and_coverage(estimator, truth):
     assert covered > 0.92
 
 
-def test_quantile_error_equals_scipys():
+def test_quantile_error_is_the_order_statistics():
     x = np.random.default_rng(3).gamma(2, size=301)
     for q in s.QUANTILES:
         ours = s.quantile(x, q)
         assert ours.value == pytest.approx(np.quantile(x, q))
-        assert ours.se == pytest.approx(stats.mstats.mjci(x, prob=[q])[0], rel=1e-6)
+        m = int(q * 301 + 0.5)  # the order statistic's own distribution, by quadrature over its beta density
+        u = (np.arange(400_000) + 0.5) / 400_000
+        picked = np.sort(x)[np.minimum((stats.beta(m, 302 - m).ppf(u) * 301).astype(int), 300)]
+        assert ours.se == pytest.approx(picked.std(), rel=1e-3)
+
+
+def test_quantile_error_does_not_cancel():
+    x = 1e6 + 1e-3 * np.random.default_rng(3).normal(size=200)
+    assert s.quantile(x, 0.5).se == pytest.approx(s.quantile(x - 1e6, 0.5).se, rel=1e-3)
 
 
 def test_pooled_rmse_weighs_fixes():
@@ -119,10 +127,20 @@ def test_equal_values_show_no_difference():
     ("reproduced", ((-math.inf, 0.0), 0.0, Estimate(-4.0, 1.0)), {"strict": True}),
     ("reproduced", ((0.0, 0.0), 0.0, Estimate(-2.0, 1.0)), {}),
     ("not reproducible", ((0.0, 0.0), 0.0, Estimate(-4.0, 1.0)), {}),
-    ("reproduced", (10.0, 0.5, Estimate(10.4, math.nan)), {}),
+    ("not computed", (10.0, 0.5, Estimate(10.4, math.nan)), {}),
+    ("not computed", ((0.0, math.inf), 0.0, Estimate(10.4, math.nan)), {"strict": True}),
 ])  # fmt: skip
 def test_verdicts(expected, arguments, options):
     assert verdict(*arguments, **options) == expected
+
+
+def test_undecided_is_said():
+    claim = (0.0, math.inf)
+    assert s.undecided(claim, 0.0, Estimate(0.5, 0.3), strict=True)
+    assert not s.undecided(claim, 0.0, Estimate(1.5, 0.3), strict=True)
+    assert not s.undecided(claim, 0.0, Estimate(-1.5, 0.3), strict=True)
+    assert s.undecided(0.13, 0.005, Estimate(0.9, 0.5))
+    assert not s.undecided(0.13, 0.005, Estimate(0.131, 0.001))
 
 
 def test_a_true_number_is_seldom_missed():

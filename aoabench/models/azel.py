@@ -102,7 +102,7 @@ class AzElFitted(AzEl):
         """Deviations (azimuth, elevation) in rad."""
         if self.sigma_deg is not None:
             return math.radians(self.sigma_deg), math.radians(self.sigma_deg)
-        printed = {"FlippedAngles": (18.0, 10.0), "VonMisesFisher": (21.0, 10.0)}.get(type(self.noise).__name__)
+        printed = getattr(self.noise, "printed_fit_deg", None)
         if self.fit == "printed" and printed and math.isclose(self.noise.sigma, math.radians(10)):
             return math.radians(printed[0]), math.radians(printed[1])
         return self.noise.fitted()

@@ -25,7 +25,7 @@ class UnitVector:
     kappa: float | None = None
 
     def __post_init__(self) -> None:
-        check_number("kappa", self.kappa, above=0, optional=True)
+        check_number("kappa", self.kappa, above=0, most=1e15, optional=True)
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
         """Unit vectors (R, T, 3B) and their nominal variances 1 / kappa (R, T, 3B)."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -37,6 +37,10 @@ class _Angular:
     def __post_init__(self) -> None:
         check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
         check_number("kappa", self.kappa, above=0, optional=True)
+        if self.sigma_deg is not None:  # what floating point and the tables can carry
+            check_number("sigma_deg", self.sigma_deg, least=1e-5, most=180)
+        if self.kappa is not None:
+            check_number("kappa", self.kappa, least=1e-6, most=1e12)
         check_number("default_sigma_deg", self.default_sigma_deg, above=0, most=180)
         if self.sigma_deg is not None and self.kappa is not None:
             raise BadValue("kappa", self.kappa, f"null together with sigma_deg={self.sigma_deg:g}, or sigma_deg=null")
@@ -79,9 +83,16 @@ class _Angular:
 
 @lru_cache(maxsize=64)
 def _fitted(noise: _Angular) -> tuple[float, float]:
-    sine, weight = np.polynomial.legendre.leggauss(400)  # uniform directions: the sine of the elevation is uniform
-    azimuth, elevation = noise.residual_rms(np.arcsin(sine))
-    return float(np.sqrt(0.5 * weight @ azimuth**2)), float(np.sqrt(0.5 * weight @ elevation**2))
+    # uniform directions have density cos(elevation); near the pole things change on the scale of sigma, so the panels
+    # of the quadrature end at 0, 1, 2 ... sigma from it
+    edges = np.pi / 2 - noise.sigma * np.array([0.0, 0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 14])
+    edges = np.concatenate([[0.0], edges[edges > 0][::-1]])
+    node, weight = np.polynomial.legendre.leggauss(24)
+    half = 0.5 * np.diff(edges)[:, None]
+    elevation = (edges[:-1, None] + half * (node + 1)).ravel()
+    share = (half * weight).ravel() * np.cos(elevation)
+    azimuth_rms, elevation_rms = noise.residual_rms(elevation)
+    return float(np.sqrt(share @ azimuth_rms**2)), float(np.sqrt(share @ elevation_rms**2))
 
 
 @dataclass(frozen=True)
@@ -101,6 +112,8 @@ class NormalAngles(_Angular):
 class FlippedAngles(_Angular):
     """Model I: normals on azimuth and elevation, flipped so that each direction has one representation."""
 
+    printed_fit_deg: ClassVar = (18.0, 10.0)  # fitted (azimuth, elevation) at sigma = 10 deg [Nurminen 2018, Table I]
+
     def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
         e = self.sigma * rng.standard_normal((2, *azimuth.shape))
         return flip(azimuth + e[0], elevation + e[1])
@@ -112,6 +125,8 @@ class FlippedAngles(_Angular):
 @dataclass(frozen=True)
 class VonMisesFisher(_Angular):
     """Model II: the measured direction is von Mises-Fisher around the true one [Nurminen 2018, (5)]."""
+
+    printed_fit_deg: ClassVar = (21.0, 10.0)  # not what samples give: erratum N12
 
     def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
         u = vmf_sample(rng, to_unit(azimuth, elevation), self.concentration)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from aoabench import statistics
+from aoabench import statistics, store
 from aoabench.statistics import Estimate
 from aoabench.types import UserError
 
@@ -57,22 +57,15 @@ class Study:
         return _module(self.folder / "figures.py")
 
 
-def root() -> Path:
-    """The folder of the studies: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).resolve().parent.parent
-    inside = package / "experiments"
-    return inside if inside.is_dir() else package.parent / "experiments"
-
-
 def names() -> list[str]:
     """Studies that ship."""
-    return sorted(p.parent.name for p in root().glob("*/study.yaml"))
+    return sorted(p.parent.name for p in store.shipped("experiments").glob("*/study.yaml"))
 
 
 @cache
 def load(name: str) -> Study:
     """Read a study's YAML files."""
-    folder = root() / name
+    folder = store.shipped("experiments") / name
 
     def read(file: str) -> Any:
         return yaml.safe_load((folder / file).read_text(encoding="utf-8"))
@@ -165,14 +158,14 @@ def _judge(study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate,
     group = [e for e in study.printed if e.get("group") and e.get("group") == entry.get("group")]
     theirs = [found[e["id"]][0].value for e in group if e["id"] in found]
     in_kind = bool(group) and len(theirs) == len(group) and statistics.same_order([e["printed"] for e in group], theirs)
-    verdict = statistics.verdict(
-        limits,
-        entry.get("rounding", 0.0),
-        ours,
-        printed_se=sampling,
-        in_kind=in_kind,
-        strict=entry.get("strict", False),
-    )
+    strict, z, rounding = entry.get("strict", False), entry.get("z", 3.0), entry.get("rounding", 0.0)
+    verdict = statistics.verdict(limits, rounding, ours, printed_se=sampling, in_kind=in_kind, strict=strict, z=z)
+    reason = entry.get("reason", "") if verdict in (statistics.NOT_REPRODUCIBLE, statistics.IN_KIND) else ""
+    if ours is not None and limits is not None and verdict != statistics.NOT_COMPUTED:
+        doubt = statistics.undecided(limits, rounding, ours, strict=strict, z=z)
+        if doubt:
+            reason = doubt
+            verdict = statistics.NOT_REPRODUCIBLE if verdict == statistics.REPRODUCED else verdict
     return {
         "study": study.name,
         "item": entry["item"],
@@ -183,7 +176,7 @@ def _judge(study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate,
         "se": float("nan") if ours is None else ours.se,
         "unit": entry.get("unit", ""),
         "verdict": verdict,
-        "reason": entry.get("reason", "") if verdict in (statistics.NOT_REPRODUCIBLE, statistics.IN_KIND) else "",
+        "reason": reason,
         "claim": claim,
     }
 

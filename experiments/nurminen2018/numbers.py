@@ -72,8 +72,7 @@ def log_likelihoods(
     """
     y, e = noise.perturb(rng, azimuth, elevation)
     da, de = wrap(y - azimuth), e - elevation
-    name = type(noise).__name__
-    fitted = {"FlippedAngles": (18.0, 10.0), "VonMisesFisher": (21.0, 10.0)}[name]
+    fitted = noise.printed_fit_deg
     sigma_a, sigma_e = (t[np.rint(np.rad2deg(elevation)).astype(int) + 90] for t in adaptive_table(SIGMA))
 
     def normal(r: np.ndarray, s: object) -> np.ndarray:

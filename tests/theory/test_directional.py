@@ -3,6 +3,8 @@
 Statistical tests use fixed seeds; each states the probability of failing when the code is right.
 """
 
+import itertools
+
 import mpmath
 import numpy as np
 import pytest
@@ -194,6 +196,20 @@ def test_fitted_deviations_equal_simulation(noise):
     for error, fitted in zip((g.wrap(a - az), e - el), noise.fitted()):
         square = error**2
         assert abs(square.mean() - fitted**2) < 4 * square.std() / np.sqrt(n)
+
+
+@pytest.mark.parametrize("sigma_deg", [0.01, 0.1, 0.5, 3.0, 60.0])
+def test_fitted_deviations_equal_adaptive_quadrature(sigma_deg):
+    """Model I against scipy's adaptive quadrature in colatitude on each scale of sigma; 1e-4 relative."""
+    noise = FlippedAngles(sigma_deg)
+
+    def density(colatitude, angle):
+        return float(noise.residual_rms(np.array([np.pi / 2 - colatitude]))[angle][0]) ** 2 * np.sin(colatitude)
+
+    edges = np.unique(np.minimum(noise.sigma * np.array([0, 1, 2, 4, 8, 16]), np.pi / 2).tolist() + [np.pi / 2])
+    for angle in (0, 1):
+        total = sum(integrate.quad(density, a, b, args=(angle,), limit=200)[0] for a, b in itertools.pairwise(edges))
+        assert noise.fitted()[angle] == pytest.approx(np.sqrt(total), rel=1e-4)
 
 
 def test_fitted_azimuth_is_18_degrees_for_model_1_and_not_21_for_model_2():

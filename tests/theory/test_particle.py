@@ -158,10 +158,13 @@ def test_degenerate_weights():
 
 
 def track_batch(track, noise_seed=5, R=2):
+    from dataclasses import replace
+
     from aoabench.montecarlo import Draws
     from aoabench.noise.angular import VonMisesFisher
 
-    return Draws(track, VonMisesFisher(10.0), noise_seed).tile(0, R)
+    truth, batch = Draws(track, VonMisesFisher(10.0), noise_seed).tile(0, R)
+    return truth, replace(batch, azimuth=batch.azimuth.copy(), elevation=batch.elevation.copy())
 
 
 @pytest.mark.parametrize("h", [UnitVector(), AzEl()], ids=["vmf", "ae"])
