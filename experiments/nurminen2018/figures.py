@@ -176,7 +176,11 @@ ORDER.insert(ORDER.index("ukf_ae_adaptive") + 1, "ukf_ae_adaptive_augmented")
 
 def _label(estimator: str) -> str:
     family, model = _split(estimator)
-    return f"{family}-{LABELS[model]}" if model in LABELS else f"{family}-{LABELS[model.removesuffix('_augmented')]}*"
+    return f"{family}-{LABELS[model.removesuffix('_augmented')]}" + (" (aug.)" if model.endswith("_augmented") else "")
+
+
+def _counts(frame: pd.DataFrame) -> str:
+    return f"{frame['particles'].iloc[0]} particles, {frame['replications'].iloc[0]} replications"
 
 
 def _colour(estimator: str) -> str:
@@ -194,13 +198,13 @@ def fig4(frame: pd.DataFrame) -> Figure:
         axis.set_title(TITLES[noise])
         axis.set(xlabel="RMSE difference from PF-VMF [%]")
         axis.set_yticks(range(len(names)), [_label(n) for n in names])
-    figure.text(0.99, 0.005, "* noise-augmented sigma points", ha="right", va="bottom", fontsize=6)
+    figure.suptitle(_counts(frame), fontsize=8)
     return figure
 
 
 def layouts(frame: pd.DataFrame) -> Figure:
     """Mean RMSE relative to PF-VMF for each layout, both data models."""
-    shown = list(frame["layout"].unique())
+    shown = [f"square_track{variant}" for variant in ("", "_far", "_corner", "_sides", "_upright")]
     names = [n for n in ORDER if n != "pf_vmf"][::-1]
     figure, axes = new(PAGE, 3.4, cols=len(shown), sharey=True, sharex=True)
     for axis, layout in zip(axes, shown):
@@ -213,7 +217,8 @@ def layouts(frame: pd.DataFrame) -> Figure:
         axis.axvline(0, color="black", lw=0.8, ls=":")
         axis.set_title(layout.removeprefix("square_track").removeprefix("_") or "base")
         axis.set_yticks(range(len(names)), [_label(n) for n in names])
-    figure.supxlabel("difference of mean RMSE from PF-VMF [%]", fontsize=8)
+        axis.set_xticks([0, 50, 100, 150])
+    figure.supxlabel(f"difference of mean RMSE from PF-VMF [%], {_counts(frame)}", fontsize=8)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 

@@ -229,7 +229,8 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
             levels = [statistics.quantile(percent, q) for q in statistics.QUANTILES]
             mean = statistics.mean(wide[name])
             row = {"layout": layout, "noise": noise, "estimator": name, "family": family, "model": model}
-            row |= {"replications": len(wide), "rmse_mean_3d_m": mean.value, "se_m": mean.se}
+            row |= {"particles": int(group["filter.pf_vmf.particles"].iloc[0]), "replications": len(wide)}
+            row |= {"rmse_mean_3d_m": mean.value, "se_m": mean.se}
             row |= {f"q{round(100 * q):02d}": level.value for q, level in zip(statistics.QUANTILES, levels)}
             row |= {"median_se": levels[2].se, "minimum": percent.min(), "maximum": percent.max()}
             others = {"pf_vmf": "pf_vmf"} | {m: f"{family}_{m}" for m in ("vmf", "ae_nominal", "ae_fitted")}
