@@ -123,6 +123,35 @@ def test_seeds_and_roles_give_different_draws():
     assert draws[0] == tuple(generator(*keys[0]).random(4))
 
 
+PARTICLES = ["noise=ae_flip", "reps=12", "filter.pf_vmf.particles=300"]
+
+
+@pytest.fixture(scope="module")
+def particle_reference(tmp_path_factory):
+    out = tmp_path_factory.mktemp("particles")
+    runner.run(
+        compose_cells([*PARTICLES, "filter=[pf_vmf,pf_ae_adaptive]", "filter.pf_ae_adaptive.particles=200",
+                       "runner.n_jobs=1", f"runner.out={out}"]),
+        progress=False,
+    )  # fmt: skip
+    return rows(out)
+
+
+@pytest.mark.parametrize("how", [
+    ["filter=[pf_vmf,pf_ae_adaptive]", "runner.n_jobs=2", "runner.chunk=1"],
+    ["filter=[pf_ae_adaptive,ekf_vmf,pf_vmf]", "runner.n_jobs=2", "runner.chunk=7"],
+    ["filter=[pf_vmf,pf_ae_nominal]", "runner.n_jobs=1", "runner.chunk=64"],
+    ["filter=[pf_vmf]", "runner.n_jobs=2", "runner.backend=threading", "runner.chunk=5"],
+])  # fmt: skip
+def test_particle_filters_do_not_depend_on_how_they_are_run_nor_on_the_selection(how, particle_reference, tmp_path):
+    extra = ["filter.pf_ae_adaptive.particles=200"] if "pf_ae_adaptive" in how[0] else []
+    runner.run(compose_cells([*PARTICLES, *how, *extra, f"runner.out={tmp_path}"]), progress=False)
+    found = rows(tmp_path)
+    for name in set(found["estimator"]) & {"pf_vmf", "pf_ae_adaptive"}:
+        a, b = (f[f["estimator"] == name]["rmse_3d_m"].to_numpy() for f in (found, particle_reference))
+        assert np.array_equal(a, b), name
+
+
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
