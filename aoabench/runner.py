@@ -120,7 +120,7 @@ def _tasks(cell: Cell, keys: Mapping[str, str], out: Path, claimed: set[str]) ->
         for gap in store.missing_ranges(done, cell.reps):
             gaps[*gap, montecarlo.tile_of(cell.estimators[name])][name] = key
     for (start, stop, tile), names in sorted(gaps.items()):
-        chunk = cell.runner.chunk or min(math.ceil((stop - start) / (4 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK)
+        chunk = cell.runner.chunk or min(math.ceil((stop - start) / (16 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK)
         chunk = math.ceil(chunk / tile) * tile
         for first in range(start - start % chunk, stop, chunk):
             yield Task(cell, names, max(first, start), min(first + chunk, stop))

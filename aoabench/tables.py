@@ -173,15 +173,12 @@ def _collect_rows(out: Path, record: Mapping[str, Any], columns: Mapping[str, st
 
 
 def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Per cell, the dotted parameters whose values differ between the cells (estimators' own where changed)."""
-    flat = {r["cell"]: dict(flatten({k: r["config"][k] for k in ("scenario", "noise")})) | r["changed"] for r in noted}
-    names = sorted({name for leaves in flat.values() for name in leaves if not name.endswith("_target_")})
-    keep = []
-    for name in names:
-        values = [json.dumps(leaves.get(name)) for leaves in flat.values()]
-        if len(set(values)) > 1 or any(name in r["changed"] or name in r["swept"] for r in noted):
-            keep.append(name)
+    """Per cell, the dotted parameters that differ between the cells or that a command line or experiment set."""
     full = {r["cell"]: dict(flatten(r["config"])) | r["changed"] for r in noted}
+    names = {name for leaves in full.values() for name in leaves if name.startswith(("scenario.", "noise."))}
+    varied = {name for name in names if len({json.dumps(leaves.get(name)) for leaves in full.values()}) > 1}
+    varied |= {name for r in noted for name in (*r["changed"], *r["swept"]) if name in full[r["cell"]]}
+    keep = sorted(name for name in varied if not name.endswith("_target_") and name != "seed")
     return {cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in full.items()}
 
 

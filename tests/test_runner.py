@@ -95,6 +95,15 @@ def test_a_changed_parameter_is_another_cell_and_its_column(tmp_path):
     assert json.loads(cells["config"][0])["scenario"]["name"] == "square_track"
 
 
+def test_a_parameter_given_on_the_command_line_has_its_column_even_at_its_default(tmp_path):
+    overrides = ["filter=[pf_vmf]", "filter.pf_vmf.particles=50", "noise.sigma_deg=10", "reps=2"]
+    frame = aoabench.run(*overrides, out=tmp_path)
+    assert set(frame["filter.pf_vmf.particles"]) == {50}
+    assert set(frame["noise.sigma_deg"]) == {10}
+    frame = aoabench.run("filter=[ukf_vmf]", "filter.ukf_vmf.lambda_=0.5", "reps=2", out=tmp_path / "b")
+    assert set(frame["filter.ukf_vmf.lambda_"]) == {0.5}
+
+
 def test_layout_variants_share_their_draws():
     """Streams are keyed on the scenario's name, which variants of one track have in common."""
     a, b = compose_cells(["scenario=square_track,square_track_far", "filter=[ekf_vmf]"])
