@@ -95,6 +95,9 @@ def test_printed_ids_are_found_by_the_figures_of_a_full_run():
         ]),
         "fig4": s.numbers.fig4(made_up_runs(["square_track"])),
         "layouts": s.numbers.layouts(made_up_runs([f"square_track{v}" for v in ("", "_far", "_corner", "_sides", "_upright")])),
+        "adaptivity": s.numbers.adaptivity(
+            made_up_runs([f"square_track{v}" for v in ("", "_far", "_corner", "_sides", "_upright")])
+        ),
         "particles": s.numbers.particles(made_up_runs(["square_track"], [3162, 10000])),
         "table1": s.numbers.table1("quick"), "fig1": s.numbers.fig1("quick"), "fig2": s.numbers.fig2("quick"),
     }  # fmt: skip

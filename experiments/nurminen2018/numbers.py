@@ -246,6 +246,19 @@ def layouts(runs: pd.DataFrame) -> pd.DataFrame:
     return fig4(runs)
 
 
+def adaptivity(runs: pd.DataFrame) -> pd.DataFrame:
+    """Per layout, data model and form of AE-adaptive: paired percentage from the same filter with another AE model."""
+    rows = []
+    for (layout, noise), group in runs.groupby(["scenario", "noise"], sort=False):
+        wide = group.pivot(index="replication", columns="estimator", values="rmse_3d_m")
+        for name in ("ekf_ae_adaptive", "ukf_ae_adaptive", "ukf_ae_adaptive_augmented"):
+            for other in ("ae_nominal", "ae_fitted"):
+                pair = statistics.paired(wide[name], wide[f"{name.partition('_')[0]}_{other}"]).percent
+                rows.append((layout, noise, name, other, pair.value, pair.se, len(wide)))
+    columns = ["layout", "noise", "estimator", "other", "above_percent", "above_se", "replications"]
+    return pd.DataFrame(rows, columns=columns)
+
+
 def particles(runs: pd.DataFrame) -> pd.DataFrame:
     """Mean RMSE of each particle filter against the number of particles."""
     rows = []
