@@ -98,7 +98,7 @@ def run(arguments: Sequence[str]) -> int:
         print(_run_help(given.config_dir))
         return 0
     if given.cfg:
-        print(composing.show(overrides, given.config_dir, given.resolve, given.package), end="")
+        print(composing.show(overrides, given.config_dir, given.resolve, given.package, given.multirun), end="")
         return 0
     cells = composing.compose_cells(overrides, config_dir=given.config_dir, sweep=given.multirun)
     done = runner.run(cells)
@@ -145,11 +145,12 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
     out = done.out
     rate = f", {done.computed / done.seconds:,.0f}/s" if done.computed else ""
     print(
-        f"{len(cells)} cells: {done.computed} replications x estimators computed, "
+        f"{len({c.id for c in cells})} cells: {done.computed} replications x estimators computed, "
         f"{done.reused} reused, {done.seconds:.1f} s{rate}"
     )
     summary = pd.read_parquet(out / "summary.parquet")
-    mine = summary[summary["cell"].isin([c.id for c in cells])]
+    asked = {(c.id, name) for c in cells for name in c.estimators}
+    mine = summary[[pair in asked for pair in zip(summary["cell"], summary["estimator"])]]
     table = pd.read_parquet(out / "cells.parquet")
     extra = [c for c in table.columns if c not in ("experiment", "scenario", "noise", "seed", "estimators", "config")]
     mine = mine.merge(table[extra], on="cell")
@@ -204,6 +205,8 @@ def report(arguments: Sequence[str]) -> int:
 
 def compare(arguments: Sequence[str]) -> int:
     """`aoabench compare`: paired differences between the estimators of each cell."""
+    import pandas as pd
+
     from aoabench import statistics, tables
     from aoabench.config import did_you_mean
     from aoabench.store import REPLICATIONS
@@ -222,13 +225,24 @@ def compare(arguments: Sequence[str]) -> int:
     if given.baseline and given.baseline not in names:
         hint = did_you_mean(given.baseline, names) or f"; allowed: {', '.join(names)}"
         raise UserError(f"--baseline={given.baseline}: not in this run{hint}")
-    for cell, rows in frame.groupby("cell", sort=False):
+    fixed = {*REPLICATIONS, "seed"}
+    varied = [c for c in frame.columns if c not in fixed and frame[c].nunique(dropna=False) > 1]
+    order = list(pd.read_parquet(Path(given.run) / "cells.parquet", columns=["cell"])["cell"])
+    for cell, rows in sorted(frame.groupby("cell"), key=lambda pair: order.index(pair[0])):
         wide = rows.pivot(index="replication", columns="estimator", values=given.metric)
+        wide = wide.dropna(axis="columns", how="all")
+        complete = wide.dropna()
+        if len(complete) < len(wide):
+            print(f"\n(cell {cell}: only {len(complete)} of {len(wide)} replications have a value of every estimator)")
+        wide = complete if len(complete) > 1 else wide
+        if wide.empty:
+            continue
         means = wide.mean().sort_values()
         base = given.baseline if given.baseline in wide else means.index[0]
         first = rows.iloc[0]
         print(
-            f"\n{first['scenario']} {first['noise']} (cell {cell}), {given.metric}, "
+            f"\n{first['scenario']} {first['noise']}{''.join(f' {c}={first[c]}' for c in varied)} (cell {cell}), "
+            f"{given.metric}, "
             f"compared with {base} = {means[base]:.4g}"
         )
         for name in means.index:
@@ -250,14 +264,17 @@ def compare(arguments: Sequence[str]) -> int:
 def replay(arguments: Sequence[str]) -> int:
     """`aoabench replay`: repeat one replication of a run and write its truth, measurements and estimates."""
     from aoabench import replaying
+    from aoabench.config import parse_plugins
 
     parser = _Parser(prog="aoabench replay", description="Repeat one replication of a run with its trace.")
     parser.add_argument("run", help="folder of a run (runner.out)")
     parser.add_argument("--replication", type=int, required=True, help="its number, >= 0")
     parser.add_argument("--estimator", required=True, help="name of the estimator")
     parser.add_argument("--cell", help="cell of the run, if it has several")
+    parser.add_argument("--plugins", default="", help="packages of your own that the run used, with commas")
     given = parser.parse_args(list(arguments))
-    print(replaying.replay(Path(given.run), given.replication, given.estimator, given.cell))
+    plugins = parse_plugins([f"plugins={given.plugins}"])
+    print(replaying.replay(Path(given.run), given.replication, given.estimator, given.cell, plugins))
     return 0
 
 

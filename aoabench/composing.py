@@ -31,15 +31,16 @@ def compose_cells(
     """
     from hydra import compose
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+    from hydra.core.global_hydra import GlobalHydra
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     overrides = list(overrides) + ([f"plugins=[{','.join(plugins)}]"] if plugins else [])
     allowed = parse_plugins(overrides)
     with hydra_initialised(config_dir), explained(overrides, config_dir):
-        parser = OverridesParser.create()
+        parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
         parsed = parser.parse_overrides(overrides)
         for override in parsed:
-            _refuse_hydra(str(override.key_or_group), str(override.input_line))
+            _refuse_hydra(str(override.input_line))
             if override.is_sweep_override() and not sweep:
                 raise UserError(f"{override.input_line}: several values are a sweep; add -m, or brackets for one list")
         plain = [str(o.input_line) for o in parsed if not o.is_sweep_override()]
@@ -47,6 +48,10 @@ def compose_cells(
         if sweep:
             base = compose("config", overrides=plain, return_hydra_config=True)
             own = [f"{key}={value}" for key, value in (base.hydra.sweeper.params or {}).items()]
+            for line in own:
+                _refuse_hydra(line)
+                if parse_plugins([line]):
+                    raise UserError(f"{line}: only plugins=[...] on the command line can name plugins")
             jobs = BasicSweeper.split_arguments(parser.parse_overrides([*own, *overrides]), None)[0]
         if not jobs:
             raise UserError(f"{' '.join(overrides)}: the sweep is empty; allowed: at least one value for each key")
@@ -59,15 +64,25 @@ def compose_cells(
     return cells
 
 
-def show(overrides: Sequence[str], config_dir: str | None = None, resolve: bool = False, package: str = "") -> str:
-    """The composed config as YAML, or one dotted part of it."""
+def show(
+    overrides: Sequence[str],
+    config_dir: str | None = None,
+    resolve: bool = False,
+    package: str = "",
+    sweep: bool = False,
+) -> str:
+    """The composed config as YAML, or one dotted part of it; of a `sweep` what all its jobs have in common."""
     from hydra import compose
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.override_parser.overrides_parser import OverridesParser
     from omegaconf import OmegaConf
 
     with hydra_initialised(config_dir), explained(overrides, config_dir):
         for override in overrides:
-            _refuse_hydra(override.partition("=")[0].lstrip("+~"), override)
-        cfg = compose("config", overrides=list(overrides))
+            _refuse_hydra(override)
+        parsed = OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(list(overrides))
+        plain = [str(o.input_line) for o in parsed if not (sweep and o.is_sweep_override())]
+        cfg = compose("config", overrides=plain)
         part = OmegaConf.select(cfg, package) if package else cfg
         if part is None:
             raise UserError(f"--package={package}: no such part of the config")
@@ -136,16 +151,21 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
         Singleton.set_state(before)
 
 
-def _refuse_hydra(key: str, given: str) -> None:
-    if key == "hydra" or key.startswith(("hydra.", "hydra/", "hydra@")) or "@hydra" in key:
-        raise UserError(f"{given}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE")
+def _refuse_hydra(override: str) -> None:
+    """Raise UserError for an override that reaches Hydra's own node, or a file that was not looked at."""
+    key, _, value = override.partition("=")
+    parts = [part.strip(" +~/") for part in key.replace("@", " ").replace(":", " ").split()]
+    if any(part.split(".")[0].split("/")[0] == "hydra" for part in parts):
+        raise UserError(f"{override}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE")
+    if parts and "." not in parts[0] and (".." in value or "${" in value):
+        raise UserError(f"{override}: the name of a preset is needed; allowed: see `aoabench list`")
 
 
 def refuse_foreign_hydra(config_dir: str | None) -> None:
     """Raise UserError if a config from outside sets anything under `hydra` but the sweeper's params, or plugins.
 
-    Read before Hydra starts. Links are followed, as Hydra follows them; only the config groups are looked at, which is
-    all that Hydra can reach (a defaults list that leads elsewhere is refused).
+    Read before Hydra starts; links are followed, as Hydra follows them. Files outside the config groups are not meant
+    for us, but Hydra could reach them: they only have to leave `hydra` alone.
     """
     if config_dir is None:
         return
@@ -154,23 +174,24 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
         raise UserError(f"--config-dir={config_dir}: no such folder; allowed: a folder with {', '.join(GROUPS)} in it")
     if (root / "hydra").exists() or (root / "hydra").is_symlink():
         raise UserError(f"--config-dir={config_dir}: a folder 'hydra' is not allowed in it")
-    for group in GROUPS:
-        for folder, _, files in os.walk(root / group, followlinks=True):
-            for name in files:
-                if name.endswith((".yaml", ".yml")):
-                    _check_file(Path(folder) / name)
+    for folder, _, files in os.walk(root, followlinks=True):
+        place = Path(folder).relative_to(root).parts
+        for name in sorted(files):
+            if name.endswith((".yaml", ".yml")):
+                _check_file(Path(folder) / name, place[0] if place and place[0] in GROUPS else None)
 
 
-def _check_file(file: Path) -> None:
+def _check_file(file: Path, group: str | None) -> None:
+    """Raise UserError for what a file may not hold; `group` is the config group that it is in, if any."""
     import yaml
 
     allowed = "a config may only set hydra.sweeper.params, and no plugins"
     try:
         text = file.read_text(encoding="utf-8")
         nodes = list(yaml.safe_load_all(text))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{file}: cannot be read: {error}") from None
-    except yaml.YAMLError as error:
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        if group is None:  # nothing that Hydra could compose
+            return
         raise UserError(f"{file}: not plain YAML: {_first_line(error)}") from None
     for line in text.splitlines():
         words = line.strip().lstrip("#").split()
@@ -178,7 +199,16 @@ def _check_file(file: Path) -> None:
             raise UserError(f"{file}: {line.strip()!r} is not allowed; allowed: # @package _global_")
     for node in nodes:
         for bad in _foreign_settings(node):
-            raise UserError(f"{file}: {bad!r} is not allowed; {allowed}")
+            if group or "hydra" in bad:
+                raise UserError(f"{file}: {bad!r} is not allowed; {allowed}")
+    if group is None:
+        return
+    if file.stem in options(group):
+        raise UserError(f"{file}: {group} {file.stem!r} is a shipped preset; choose another name")
+    if group in ("filter", "estimator"):
+        keys = [key for node in nodes if isinstance(node, dict) for key in node]
+        if keys != [file.stem]:
+            raise UserError(f"{file}: holds {', '.join(map(str, keys)) or 'nothing'}; allowed: one key, {file.stem!r}")
 
 
 def _foreign_settings(node: Any) -> Iterator[str]:
@@ -189,10 +219,13 @@ def _foreign_settings(node: Any) -> Iterator[str]:
         name = str(key)
         if name == "defaults":
             for entry in value if isinstance(value, list) else [value]:
-                text = " ".join(map(str, entry)) if isinstance(entry, dict) else str(entry)
-                group = text.removeprefix("override ").lstrip("/").partition("/")[0].partition("@")[0].strip()
-                inside = group in GROUPS or group == "_self_" or "/" not in text
-                if "hydra" in text or "@" in text or ".." in text or not inside:
+                target, chosen = next(iter(entry.items())) if isinstance(entry, dict) and entry else (entry, "")
+                words = str(target).split()
+                plain = words[-1] if words else ""
+                group = plain.lstrip("/").partition("/")[0]
+                text = f"{target}: {chosen}" if chosen else str(target)
+                inside = group in GROUPS or "/" not in plain
+                if not inside or any(mark in text for mark in ("hydra", "@", "..", "${")):
                     yield f"defaults: {text}"
         elif name.split(".")[0] in ("plugins", "hydra") and name != "hydra":
             yield name

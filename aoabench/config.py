@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import hashlib
 import importlib
-import json
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from aoabench.store import shipped
+from aoabench.store import digest, shipped
 from aoabench.types import BadValue, UserError, check_number
 
 PLUG_INS = tuple(f"aoabench.{room}" for room in ("scenarios", "noise", "models", "filters", "estimators"))
@@ -164,21 +162,6 @@ class Cell:
         return digest([self.config["scenario"], self.config["noise"], self.seed])
 
 
-def digest(value: Any) -> str:
-    """Hexadecimal hash of a plain value, equal for equal content."""
-    text = json.dumps(_canonical(value), sort_keys=True, separators=(",", ":"), default=str)
-    return hashlib.blake2b(text.encode(), digest_size=20).hexdigest()
-
-
-def _canonical(value: Any) -> Any:
-    """5 and 5.0 are one number."""
-    if isinstance(value, dict):
-        return {str(k): _canonical(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_canonical(v) for v in value]
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
 def build(
     plain: Mapping[str, Any],
     choices: Mapping[str, Any],
@@ -200,7 +183,7 @@ def build(
             raise UserError(f"{key}: unknown key{hint}")
     if list(plain.get("plugins") or []) != list(plugins):
         raise UserError(f"plugins={plain.get('plugins')}: only plugins=[...] on the command line can name them")
-    _import_plugins(plugins)
+    import_plugins(plugins)
     check_number("reps", plain.get("reps"), least=1, most=100_000_000, integer=True)
     check_number("seed", plain.get("seed"), least=0, most=2**63 - 1, integer=True)
     runner = _runner(plain)
@@ -213,7 +196,7 @@ def build(
     noise = _as("noise", construct(plain["noise"], "noise", plugins), ("sample",))
     if not isinstance(scenario.name, str) or not scenario.name:
         raise BadValue("scenario.name", scenario.name, "a text, which keys the random streams")
-    estimators = _estimators(plain, plugins, scenario)
+    estimators = _estimators(plain, plugins, scenario, choices.get("experiment"))
     for name, estimator in (extra or {}).items():
         if name in estimators:
             raise UserError(f"estimators[{name!r}]: a preset of this name is selected; choose another name")
@@ -239,7 +222,9 @@ def build(
     )
 
 
-def _estimators(plain: Mapping[str, Any], plugins: Sequence[str], scenario: Any) -> dict[str, Any]:
+def _estimators(
+    plain: Mapping[str, Any], plugins: Sequence[str], scenario: Any, experiment: str | None
+) -> dict[str, Any]:
     """Filters and estimators by name, each checked for what the runner will ask of it."""
     found: dict[str, Any] = {}
     for group in ("filter", "estimator"):
@@ -248,6 +233,8 @@ def _estimators(plain: Mapping[str, Any], plugins: Sequence[str], scenario: Any)
             raise BadValue(group, nodes, f"{group}=[NAME,NAME] with presets of `aoabench list {group}`")
         for name, node in nodes.items():
             path = f"{group}.{name}"
+            if isinstance(node, dict) and "_target_" not in node and experiment and name in options(group):
+                continue  # an experiment's setting for a preset that this run leaves out
             if name in found:
                 raise UserError(f"{path}: the name is taken by a filter; every estimator needs its own")
             found[name] = _as(path, construct(node, path, plugins), ("__call__",))
@@ -301,9 +288,10 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
     return RunnerOptions(**nodes)
 
 
-def _import_plugins(plugins: Sequence[str]) -> None:
+def import_plugins(plugins: Sequence[str]) -> None:
+    """Import the user's own packages, from the working folder too; UserError for whatever they raise."""
     if plugins and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
+        sys.path.append(os.getcwd())  # last: what is installed is found first
     for name in plugins:
         try:
             importlib.import_module(name)

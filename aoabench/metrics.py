@@ -54,11 +54,13 @@ def root_mean_square(error: Array, accepted: np.ndarray) -> Array:
 def nees(error: Array, covariance: Array) -> Array:
     """Normalised estimation error squared e^T P^-1 e (R, T) of errors (R, T, 3) m with covariances (R, T, 3, 3) m^2.
 
-    NaN where a covariance is singular to working precision (all weight on one particle, say) or an error is NaN.
+    NaN where an error is NaN or a covariance is nearly singular (smallest eigenvalue below 1e-6 of the largest: a
+    particle filter with a handful of particles left, say).
     """
     usable: np.ndarray = np.asarray(np.isfinite(error).all(-1) & np.isfinite(covariance).all((-1, -2)))
     P = np.where(usable[..., None, None], covariance, np.eye(3))
-    usable &= np.linalg.det(P) > (1e-9 * np.trace(P, axis1=-2, axis2=-1)) ** 3
+    spread = np.linalg.eigvalsh(P)
+    usable &= spread[..., 0] > 1e-6 * spread[..., -1]
     P = np.where(usable[..., None, None], P, np.eye(3))
     e = np.where(usable[..., None], error, 0.0)
     value = (e[..., None, :] @ np.linalg.solve(P, e[..., None]))[..., 0, 0]

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from aoabench import metrics, montecarlo, store, tables
-from aoabench.config import construct, did_you_mean
+from aoabench.config import construct, did_you_mean, import_plugins
 from aoabench.types import UserError
 
 
-def replay(run: Path, replication: int, estimator: str, cell: str | None = None) -> str:
+def replay(run: Path, replication: int, estimator: str, cell: str | None = None, plugins: Sequence[str] = ()) -> str:
     """Write <run>/replay/<cell>-<estimator>-<replication>.parquet (a row per step) and return a text about it.
 
-    Raises UserError for a run, cell, estimator or replication that is not there, and for classes of plug-ins or of a
-    session, which the stored config alone does not name.
+    `plugins` are the packages of the user's own that the run used. Raises UserError for a run, cell, estimator or
+    replication that is not there.
     """
     if not (run / "cells").is_dir():
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
@@ -37,9 +38,10 @@ def replay(run: Path, replication: int, estimator: str, cell: str | None = None)
     reps = record["estimators"][estimator]["reps"]
     if not 0 <= replication < reps:
         raise UserError(f"--replication={replication} is not in this run; allowed: 0 to {reps - 1}")
-    scenario, noise = construct(config["scenario"], "scenario"), construct(config["noise"], "noise")
+    import_plugins(plugins)
+    scenario, noise = (construct(config[g], g, plugins) for g in ("scenario", "noise"))
     draws = montecarlo.Draws(scenario, noise, record["seed"])
-    method = construct(presets[estimator], estimator)
+    method = construct(presets[estimator], estimator, plugins)
     size = montecarlo.tile_of(method)
     first = replication - replication % size
     truth, estimates = montecarlo.estimate_tile(draws, method, first)

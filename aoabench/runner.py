@@ -12,10 +12,12 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from threadpoolctl import threadpool_limits
 
 from aoabench import montecarlo, store, tables
 from aoabench.config import Cell
@@ -63,15 +65,17 @@ def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     wanted = sum(cell.reps * len(cell.estimators) for cell in cells)
     computed = sum(task.size for task in tasks)
     _compute(tasks, out, progress)
-    timing = tables.known_timing(out)
-    for cell in cells:
-        tables.record_cell(out, cell, keys[cell.id], store.draws_key(cell), timing)
-    tables.collect(out, {cell.id for cell in cells})
-    for cell in cells:
-        if fresh := {name: key for name, key in keys[cell.id].items() if key not in timing}:
-            timing |= _timed(cell, fresh)
+    with store.locked(out):
+        timing = tables.known_timing(out)
+        for cell in cells:
             tables.record_cell(out, cell, keys[cell.id], store.draws_key(cell), timing)
-    tables.write_timing(out)
+        tables.collect(out, {cell.id for cell in cells})
+    timing = {}
+    for cell in cells:
+        known = tables.known_timing(out) | timing
+        timing |= _timed(cell, {name: key for name, key in keys[cell.id].items() if key not in known})
+    with store.locked(out):
+        tables.note_timing(out, timing)
     return RunReport(out, computed, wanted - computed, time.perf_counter() - begin)
 
 
@@ -96,16 +100,15 @@ def merged(cells: Sequence[Cell]) -> list[Cell]:
 
 def writable(folder: str, key: str = "runner.out") -> Path:
     """The folder, made if need be; UserError naming `key` if that, or writing into it, is not possible."""
-    path = Path(folder).expanduser()
     try:
+        path = Path(folder).expanduser()
         path.mkdir(parents=True, exist_ok=True)
         probe = path / f".probe-{os.getpid()}"
         probe.touch()
         probe.unlink()
-    except OSError as error:
-        raise UserError(
-            f"runner.out={folder!r} cannot be written: {error.strerror}; allowed: a writable folder"
-        ) from None
+    except (OSError, ValueError, RuntimeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise UserError(f"{key}={folder!r} cannot be written: {why}; allowed: a writable folder") from None
     return path
 
 
@@ -155,12 +158,15 @@ def _compute(tasks: Sequence[Task], out: Path, progress: bool) -> None:
             for task in tasks:
                 advance(compute(task, out))
             return
+        # threads share one BLAS: limit it here, once, not in each block
+        limit = threadpool_limits(1) if options.backend == "threading" else nullcontext()
         prepare = {"initializer": _find_plugins, "initargs": (list(sys.path),)} if options.backend == "loky" else {}
         parallel = Parallel(
             workers, backend=options.backend, return_as="generator_unordered", pre_dispatch="2*n_jobs", **prepare
         )
-        for size in parallel(delayed(compute)(task, out) for task in tasks):
-            advance(size)
+        with limit:
+            for size in parallel(delayed(compute)(task, out) for task in tasks):
+                advance(size)
 
 
 def _find_plugins(path: list[str]) -> None:
@@ -195,6 +201,8 @@ def _bar(total: int, shown: bool) -> Iterator[Any]:
 
 def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
     """Serial timings, by part key, of some of the cell's estimators."""
+    if not keys:
+        return {}
     estimators = {name: cell.estimators[name] for name in keys}
     measured = montecarlo.time_estimators(cell.scenario, cell.noise, estimators, cell.seed)
     return {

@@ -11,6 +11,7 @@ library versions) and nothing else; the tables that people read are made from th
 from __future__ import annotations
 
 import ast
+import contextlib
 import functools
 import hashlib
 import importlib.util
@@ -19,7 +20,7 @@ import os
 import sys
 import sysconfig
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -70,7 +71,7 @@ def part_key(cell: Any, estimator: str) -> str:
     """Hash of everything that one estimator's rows in one cell depend on."""
     obj = cell.estimators[estimator]
     preset = {**(cell.config.get("filter") or {}), **(cell.config.get("estimator") or {})}.get(estimator)
-    return _hash({
+    return digest({
         "draws": draws_key(cell),
         "estimator": _described(obj) if preset is None else preset,
         "source": source_hash(_modules([obj]), cell.plugins),
@@ -79,7 +80,7 @@ def part_key(cell: Any, estimator: str) -> str:
 
 def draws_key(cell: Any) -> str:
     """Hash of everything that the simulated truth, measurements and scores of one cell depend on."""
-    return _hash({
+    return digest({
         "scenario": cell.config["scenario"],
         "noise": cell.config["noise"],
         "seed": cell.seed,
@@ -88,9 +89,18 @@ def draws_key(cell: Any) -> str:
     })  # fmt: skip
 
 
-def _hash(content: Any) -> str:
-    text = json.dumps(content, sort_keys=True, default=str)
+def digest(content: Any) -> str:
+    """Hash of plain values; equal for equal content, and 5 and 5.0 are one number."""
+    text = json.dumps(_canonical(content), sort_keys=True, separators=(",", ":"), default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _canonical(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _canonical(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_canonical(v) for v in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _modules(values: Iterable[Any]) -> set[str]:
@@ -145,7 +155,7 @@ def source_hash(roots: Iterable[str], plugins: Sequence[str] = ()) -> str:
             full = importlib.util.resolve_name("." * level + base, _package(name, file)) if level else base
             inner = [f"{full}.{n}" for n in names]
             todo += [n if _file_of(n) else full for n in inner] or [full]
-    return _hash(sorted(seen.items()))
+    return digest(sorted(seen.items()))
 
 
 def _is_ours(name: str, file: Path, ours: Sequence[str]) -> bool:
@@ -216,6 +226,19 @@ def _cpu_features() -> list[str]:
 
 
 # --- parts ------------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def locked(out: Path) -> Iterator[None]:
+    """Hold the folder's lock: tables are made by one process at a time (where the system has file locks)."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    with (out / ".lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def write_atomically(path: Path, write: Any) -> None:

@@ -59,7 +59,12 @@ def record_cell(out: Path, cell: Any, keys: Mapping[str, str], draws: str, timin
         "noise": cell.noise_name, "seed": cell.seed, "draws": draws, "changed": dict(cell.changed),
         "swept": list(cell.swept), "config": config, "estimators": entries, "provenance": provenance(),
     }  # fmt: skip
-    write_atomically(path, lambda t: t.write_text(json.dumps(record, indent=1, default=str), encoding="utf-8"))
+    _write_record(out, record)
+
+
+def _write_record(out: Path, record: Mapping[str, Any]) -> None:
+    text = json.dumps(record, indent=1, default=str)
+    write_atomically(out / "cells" / f"{record['cell']}.json", lambda t: t.write_text(text, encoding="utf-8"))
 
 
 def _read_record(path: Path) -> dict[str, Any]:
@@ -122,6 +127,17 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     summary = pd.DataFrame(rows)
     summary["experiment"] = summary["experiment"].astype("string")
     write_frame(out / "summary.parquet", summary)
+    write_timing(out)
+
+
+def note_timing(out: Path, timing: Mapping[str, Any]) -> None:
+    """Enter timings by part key into the records, and make the timing table."""
+    for record in records(out):
+        entries = record["estimators"].values()
+        if any(entry["key"] in timing for entry in entries):
+            for entry in entries:
+                entry["timing"] = timing.get(entry["key"], entry.get("timing"))
+            _write_record(out, record)
     write_timing(out)
 
 

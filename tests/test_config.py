@@ -152,11 +152,66 @@ def test_a_users_experiment_may_sweep(tmp_path):
     assert [c.noise.sigma_deg for c in narrowed] == [4], "the command line wins"
 
 
-def test_the_shipped_presets_win_over_a_users_of_the_same_name(tmp_path):
+def test_a_users_preset_may_not_hide_behind_a_shipped_name(tmp_path):
     (tmp_path / "noise").mkdir()
     (tmp_path / "noise" / "vmf.yaml").write_text("_target_: aoabench.noise.angular.NormalAngles\n")
-    cell = compose_cells(["filter=[ekf_vmf]", "noise=vmf"], config_dir=str(tmp_path))[0]
-    assert type(cell.noise).__name__ == "VonMisesFisher"
+    with pytest.raises(UserError, match="shipped preset"):
+        compose_cells(["filter=[ekf_vmf]", "noise=vmf"], config_dir=str(tmp_path))
+
+
+@pytest.mark.parametrize("text", [
+    "defaults: [ekf_vmf]\nekf_vmf: {measurement: {kappa: 20}}\n",
+    "other: {_target_: aoabench.filters.kalman.EKF}\n",
+    "",
+])  # fmt: skip
+def test_a_filter_file_holds_one_key_its_own_name(text, tmp_path):
+    (tmp_path / "filter").mkdir()
+    (tmp_path / "filter" / "mine.yaml").write_text(text)
+    with pytest.raises(UserError, match="one key, 'mine'"):
+        compose_cells(["filter=[mine]"], config_dir=str(tmp_path))
+
+
+def test_a_users_filter_of_its_own_name_works(tmp_path):
+    (tmp_path / "filter").mkdir()
+    (tmp_path / "filter" / "mine.yaml").write_text(
+        "# Mine\nmine:\n  _target_: aoabench.filters.kalman.EKF\n  measurement:\n"
+        "    _target_: aoabench.models.unit_vector.UnitVector\n    kappa: 20\n"
+    )
+    cell = compose_cells(["filter=[mine,ekf_vmf]"], config_dir=str(tmp_path))[0]
+    assert cell.estimators["mine"].measurement.kappa == 20
+    assert cell.estimators["ekf_vmf"].measurement.kappa is None
+    assert not cell.changed
+
+
+def test_an_experiment_can_be_narrowed():
+    cells = compose_cells(["experiment=nurminen2018_fig4", "filter=[pf_vmf,ekf_vmf]", "noise=vmf"])
+    assert [set(c.estimators) for c in cells] == [{"pf_vmf", "ekf_vmf"}]
+
+
+def test_glob_sweeps_over_presets():
+    cells = compose_cells(["scenario=glob(square_track*)", "filter=[ekf_vmf]"])
+    assert len(cells) == 5
+
+
+@pytest.mark.parametrize("override", [
+    "experiment=../foo/evil", "noise=${oc.env:X}", "+noise@hydra.callbacks.x=vmf", "+hydra/callbacks=x", "++hydra.job.name=x",
+])  # fmt: skip
+def test_overrides_cannot_leave_the_groups(override):
+    with pytest.raises(UserError):
+        compose_cells(["filter=[ekf_vmf]", override])
+
+
+def test_files_that_only_hydra_would_reach_may_not_touch_hydra(tmp_path):
+    (tmp_path / "evil.yaml").write_text(
+        "# @package _global_\nhydra: {sweeper: {params: {hydra.searchpath: '[pkg://x]'}}}\n"
+    )
+    with pytest.raises(UserError, match="hydra"):
+        compose_cells(["filter=[ekf_vmf]"], config_dir=str(tmp_path))
+    (tmp_path / "evil.yaml").unlink()
+    (tmp_path / "experiment").mkdir()
+    (tmp_path / "experiment" / "x.yaml").write_text("# @package _global_\ndefaults:\n  - sub: .${oc.env:NO,.}/evil\n")
+    with pytest.raises(UserError, match="defaults"):
+        compose_cells(["filter=[ekf_vmf]", "experiment=x"], config_dir=str(tmp_path))
 
 
 def test_plugins_must_be_importable_names_and_classes_must_be_theirs(tmp_path, monkeypatch):

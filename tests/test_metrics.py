@@ -50,7 +50,7 @@ def test_nees_of_gaussian_errors_is_chi_square_with_three_degrees(rng):
 
 
 def test_nees_of_a_broken_covariance_is_missing_not_an_exception():
-    P = np.stack([np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan)])[None]
-    value = metrics.nees(np.ones((1, 3, 3)), P)
+    P = np.stack([np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag([1.0, 1.0, 1e-9])])[None]
+    value = metrics.nees(np.ones((1, 4, 3)), P)
     assert value[0, 0] == pytest.approx(3)
     assert np.isnan(value[0, 1:]).all()

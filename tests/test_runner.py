@@ -491,3 +491,47 @@ def test_replay_repeats_a_replication_exactly(tmp_path, capsys):
     assert len(trace) == 64
     with pytest.raises(aoabench.UserError, match="0 to 19"):
         replay(tmp_path, 20, "ekf_vmf")
+
+
+def test_equal_numbers_have_equal_keys(tmp_path):
+    aoabench.run("filter=[ekf_vmf]", "noise.sigma_deg=5", "reps=5", out=tmp_path)
+    aoabench.run("filter=[ukf_vmf]", "noise.sigma_deg=5.0", "reps=5", out=tmp_path)
+    assert set(aoabench.load(tmp_path)["estimator"]) == {"ekf_vmf", "ukf_vmf"}
+
+
+def test_two_runs_into_one_folder_at_once_keep_each_others_results(tmp_path):
+    """Five rounds of two processes with different estimators and noises."""
+    import subprocess
+    import sys
+
+    for i in range(5):
+        out = tmp_path / str(i)
+        words = [["filter=[ekf_vmf]", "noise=vmf"], ["filter=[ukf_vmf]", "noise=vmf,ae_flip", "-m"]]
+        jobs = [
+            subprocess.Popen([sys.executable, "-m", "aoabench.cli", "run", *w, "reps=2", "runner.n_jobs=1", f"runner.out={out}"],
+                             stdout=subprocess.DEVNULL)
+            for w in words
+        ]  # fmt: skip
+        assert [job.wait() for job in jobs] == [0, 0]
+        frame = aoabench.load(out)
+        assert set(zip(frame["noise"], frame["estimator"])) == {
+            ("vmf", "ekf_vmf"),
+            ("vmf", "ukf_vmf"),
+            ("ae_flip", "ukf_vmf"),
+        }
+        assert len(pd.read_parquet(out / "summary.parquet")) == 3
+        assert len(pd.read_parquet(out / "timing.parquet")) == 3
+
+
+def test_compare_names_the_cells_and_pairs_what_is_common(tmp_path, capsys):
+    from aoabench.cli import dispatch
+
+    aoabench.run("filter=[ekf_vmf,ekf_ae_nominal]", "noise.sigma_deg=3,9", "reps=20", out=tmp_path)
+    aoabench.run("filter=[ukf_vmf]", "noise.sigma_deg=3", "reps=5", out=tmp_path)
+    dispatch(["compare", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert said.index("noise.sigma_deg=3") < said.index("noise.sigma_deg=9")
+    assert "only 5 of 20 replications" in said
+    assert "larger" in said
+    dispatch(["compare", str(tmp_path), "--metric", "iterations"])
+    assert "nan" not in capsys.readouterr().out

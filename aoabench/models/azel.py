@@ -14,7 +14,7 @@ import numpy as np
 
 from aoabench.directional import flipped_azimuth_std, flipped_elevation_moments
 from aoabench.geometry import Array, in_frames, rotations_for, to_azel, wrap
-from aoabench.models.components import interleave, into_state, over_measured, per_step
+from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
 from aoabench.types import Anchors, BadValue, Batch, check_choice, check_number
 
 _RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative on the pole axis, where it is undefined
@@ -43,7 +43,7 @@ class AzEl:
             raise BadValue("sigma_deg", None, "a number, because these measurements do not state their deviations")
         else:
             r = interleave((batch.azimuth_sigma, batch.elevation_sigma)) ** 2
-        return y, r
+        return with_quality(y, r)
 
     def predict(self, x: Array, anchors: Anchors) -> Array:
         """Azimuths and elevations (R, ..., 2B) rad of positions x (R, ..., n)."""

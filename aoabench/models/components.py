@@ -32,3 +32,9 @@ def over_measured(terms: Array, y: Array, x: Array) -> Array:
     """Sum (R, ...) of log-likelihood terms (R, ..., k) over the components of y (R, k) that are measured (not NaN)."""
     missing = np.isnan(y)
     return (np.where(per_step(missing, x), 0.0, terms) if missing.any() else terms).sum(axis=-1)
+
+
+def with_quality(y: Array, r: Array) -> tuple[Array, Array]:
+    """Values and variances (R, T, m); a value without a usable variance (NaN, not positive) counts as not measured."""
+    usable = np.isfinite(r) & (r > 0)
+    return (y, r) if usable.all() else (np.where(usable, y, np.nan), np.where(usable, r, 1.0))

@@ -18,8 +18,8 @@ class RandomWalk:
     q_z: float = 0.1
 
     def __post_init__(self) -> None:
-        check_number("q_xy", self.q_xy, above=0)
-        check_number("q_z", self.q_z, above=0)
+        check_number("q_xy", self.q_xy, least=1e-6, most=1e6)
+        check_number("q_z", self.q_z, least=1e-6, most=1e6)
 
     def matrices(self, dt: float) -> tuple[Array, Array]:
         """F (3, 3) and Q (3, 3) m^2 for a step of dt s."""

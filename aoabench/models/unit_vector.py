@@ -11,7 +11,7 @@ import numpy as np
 
 from aoabench.directional import kappa_from_sigma, vmf_log_peak
 from aoabench.geometry import Array, in_frames, rotations_for, to_unit
-from aoabench.models.components import interleave, into_state, over_measured, per_step
+from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
 from aoabench.types import Anchors, BadValue, Batch, check_number
 
 
@@ -37,7 +37,7 @@ class UnitVector:
             raise BadValue("kappa", None, "a number, because these measurements do not state their deviations")
         else:
             r = np.repeat(1.0 / kappa_from_sigma(batch.azimuth_sigma, batch.elevation_sigma), 3, axis=-1)
-        return u, r
+        return with_quality(u, r)
 
     def predict(self, x: Array, anchors: Anchors) -> Array:
         """Unit vectors (R, ..., 3B) towards positions x (R, ..., n); 0 where a position lies on its anchor."""

@@ -213,7 +213,7 @@ def verdict_text(rows: pd.DataFrame) -> str:
             r["what"],
             r["printed"],
             f"{number_text(r['ours'], r['se'])} {r['unit']}".strip(),
-            r["verdict"],
+            r["verdict"] + (" (undecided)" if r["reason"].startswith("undecided") else ""),
         )
         for r in rows.to_dict("records")
     ]
@@ -221,7 +221,9 @@ def verdict_text(rows: pd.DataFrame) -> str:
     widths = [max(len(str(line[i])) for line in [head, *shown]) for i in range(len(head))]
     lines = ["  ".join(str(cell).ljust(w) for cell, w in zip(line, widths)).rstrip() for line in [head, *shown]]
     counts = rows["verdict"].value_counts()
+    open_ = int(rows["reason"].str.startswith("undecided").sum())
     total = ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
+    total += f" ({open_} of these undecided: more replications would tell)" if open_ else ""
     return "\n".join(
         [lines[0], "-" * len(lines[0]), *lines[1:], "", f"{len(rows)} printed numbers and claims: {total}"]
     )

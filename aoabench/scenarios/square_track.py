@@ -33,11 +33,11 @@ class SquareTrack:
     prior_sigma_m: float = 1.0
 
     def __post_init__(self) -> None:
-        check_number("side_m", self.side_m, above=0)
+        check_number("side_m", self.side_m, least=1e-3, most=1e6)
         check_number("steps", self.steps, least=1, most=1_000_000, integer=True)
-        check_number("dt", self.dt, above=0)
-        check_number("q_xy", self.q_xy, above=0)
-        check_number("prior_sigma_m", self.prior_sigma_m, above=0)
+        check_number("dt", self.dt, least=1e-6, most=1e6)
+        check_number("q_xy", self.q_xy, least=1e-6, most=1e6)
+        check_number("prior_sigma_m", self.prior_sigma_m, least=1e-6, most=1e6)
 
     @cached_property
     def known_anchors(self) -> Anchors:

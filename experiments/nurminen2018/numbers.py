@@ -260,9 +260,12 @@ def adaptivity(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def particles(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean RMSE of each particle filter against the number of particles."""
+    """Mean RMSE of each particle filter against the number of particles, and its paired excess over the largest one."""
     rows = []
-    for (noise, count, name), group in runs.groupby(["noise", "filter.pf_vmf.particles", "estimator"], sort=True):
-        mean = statistics.mean(group["rmse_3d_m"])
-        rows.append((noise, int(count), name, mean.value, mean.se, len(group)))
-    return pd.DataFrame(rows, columns=["noise", "particles", "estimator", "rmse_mean_3d_m", "se_m", "replications"])
+    for (noise, name), group in runs.groupby(["noise", "estimator"], sort=True):
+        wide = group.pivot(index="replication", columns="filter.pf_vmf.particles", values="rmse_3d_m")
+        for count in sorted(wide.columns):
+            mean, pair = statistics.mean(wide[count]), statistics.paired(wide[count], wide[max(wide.columns)]).percent
+            rows.append((noise, int(count), name, mean.value, mean.se, pair.value, pair.se, len(wide)))
+    columns = ["noise", "particles", "estimator", "rmse_mean_3d_m", "se_m", "above_largest_percent", "above_largest_se"]
+    return pd.DataFrame(rows, columns=[*columns, "replications"])

@@ -165,3 +165,15 @@ def test_kappa_follows_the_larger_stated_deviation(rng):
     one = np.ones((1, 1, 1))
     batch = Batch(0 * one, 0 * one, anchors, azimuth_sigma=0.1 * one, elevation_sigma=0.2 * one)
     assert np.allclose(UnitVector().observe(batch)[1], 0.04)
+
+
+@pytest.mark.parametrize("h", [AzEl(), UnitVector()], ids=lambda h: type(h).__name__)
+def test_a_stated_deviation_that_is_missing_makes_the_measurement_missing(h, rng):
+    anchors = make_anchors(rng, 2)
+    batch = make_batch(rng, anchors)
+    batch.azimuth_sigma[:, :, 0] = np.nan
+    y, r = h.observe(batch)
+    d = y.shape[-1] // 2
+    assert np.isnan(y[..., 0]).all()
+    assert np.isfinite(y[..., d:]).all()
+    assert np.isfinite(r).all()
