@@ -66,16 +66,15 @@ def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     computed = sum(task.size for task in tasks)
     _compute(tasks, out, progress)
     with store.locked(out):
-        timing = tables.known_timing(out)
+        known = tables.known_timing(out)
         for cell in cells:
-            tables.record_cell(out, cell, keys[cell.id], store.draws_key(cell), timing)
+            tables.record_cell(out, cell, keys[cell.id], store.draws_key(cell), known)
         tables.collect(out, {cell.id for cell in cells})
-    timing = {}
+    fresh: dict[str, Any] = {}
     for cell in cells:
-        known = tables.known_timing(out) | timing
-        timing |= _timed(cell, {name: key for name, key in keys[cell.id].items() if key not in known})
+        fresh |= _timed(cell, {name: key for name, key in keys[cell.id].items() if key not in known | fresh})
     with store.locked(out):
-        tables.note_timing(out, timing)
+        tables.note_timing(out, fresh)
     return RunReport(out, computed, wanted - computed, time.perf_counter() - begin)
 
 
