@@ -84,13 +84,13 @@ def around(b, cosines, turns):
 
 @pytest.mark.parametrize("data", ["model1", "model2"])
 def test_table1_agrees_with_quadrature(data):
-    """Four shares per data model within 3.5 standard errors of 1e6 samples: false alarm 4e-3 (fixed seed)."""
+    """Four shares per data model within 3 standard errors of 1e6 samples: false alarm 2e-2 in all (fixed seed)."""
     L = expected_logliks(data)
     exact = np.exp(L - L.max())
     exact /= exact.sum()
     frame = STUDY.numbers.table1("quick")
     rows = frame[(frame["data"] == data) & (frame["quantity"] == "share")]
-    assert np.all(np.abs(rows["value"].to_numpy() - exact) < 3.5 * rows["se"].to_numpy()), (exact, rows)
+    assert np.all(np.abs(rows["value"].to_numpy() - exact) < 3.0 * rows["se"].to_numpy()), (exact, rows)
 
 
 def test_elevation_limits_must_be_plus_minus_half_pi():
