@@ -11,11 +11,13 @@ which equal K = P C^T (C P C^T + R)^-1, P+ = P - K S K^T [Nurminen 2018, Alg. 2 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
+from aoabench.filters import kernels
 from aoabench.geometry import Array
 from aoabench.streams import Streams
 from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_choice, check_number
@@ -23,10 +25,23 @@ from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Out
 
 @dataclass(frozen=True)
 class _Kalman:
-    """The recursion that both filters share; the scenario brings the motion model and the prior."""
+    """The recursion that both filters share; the scenario brings the motion model and the prior.
+
+    `engine`: `auto` takes the compiled kernel where there is one for the measurement model, `numpy` never does.
+    """
 
     measurement: Measurement
+    _: KW_ONLY
+    engine: str = "auto"
     tile: ClassVar[int] = 128
+
+    def __post_init__(self) -> None:
+        check_choice("engine", self.engine, kernels.ENGINES)
+
+    def prepare(self, say: Callable[[str], None]) -> None:
+        """Compile what is needed, before others work in parallel."""
+        if self.kernel() is not None:
+            kernels.prepare("kalman_kernels", say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
@@ -34,8 +49,26 @@ class _Kalman:
             raise BadValue("filter", type(self).__name__, "a scenario with a motion model and a prior")
         F, Q = scenario.motion.matrices(scenario.dt)
         Y, quality = self.measurement.observe(batch)
-        x = batch.prior_mean
-        P = np.broadcast_to(batch.prior_cov, (*x.shape, x.shape[-1]))
+        kernel = self.kernel()
+        compiled = None if kernel is None else kernels.load("kalman_kernels")
+        if compiled is None:
+            position, covariance = self._recursion(batch, F, Q, Y, quality)
+        else:
+            position, covariance = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
+            function, kind, *more = kernel
+            table = kernels.variances(self.measurement)
+            shared = (batch.prior_mean, batch.prior_cov, F, Q, Y, quality, batch.anchors.position, batch.anchors.rotation)
+            given = (np.ascontiguousarray(a, dtype=float) for a in (*shared, table))
+            getattr(compiled, function)(kind, *given, position, covariance, *more)
+        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
+        position = np.where(finite[..., None], position, np.nan)
+        return Estimates(position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8))
+
+    def _recursion(self, batch: Batch, F: Array, Q: Array, Y: Array, quality: Array) -> tuple[Array, Array]:
+        """The same in NumPy, for any measurement model."""
+        x, P0 = batch.prior_mean, batch.prior_cov
+        assert x is not None and P0 is not None
+        P = np.broadcast_to(P0, (*x.shape, x.shape[-1]))
         means, covariances = [], []
         with np.errstate(all="ignore"):  # a replication that overflows becomes NaN and is counted as failed
             for k in range(Y.shape[1]):
@@ -44,19 +77,24 @@ class _Kalman:
                 x, P = self.update(x, P, Y[:, k], quality[:, k], batch.anchors)
                 means.append(x[:, :3])
                 covariances.append(P[:, :3, :3])
-        position, covariance = np.stack(means, axis=1), np.stack(covariances, axis=1)
-        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
-        position = np.where(finite[..., None], position, np.nan)
-        return Estimates(position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8))
+        return np.stack(means, axis=1), np.stack(covariances, axis=1)
 
     def update(self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors) -> tuple[Array, Array]:
         """Posterior mean (R, n) and covariance (R, n, n) from the prior's, y (R, m) and its variances r (R, m)."""
         raise NotImplementedError
 
+    def kernel(self) -> tuple[Any, ...] | None:
+        """Name of the compiled function, number of the measurement model and further arguments; None if there is none."""
+        return None
+
 
 @dataclass(frozen=True)
 class EKF(_Kalman):
     """Extended Kalman filter: h linearised at the predicted mean [Nurminen 2018, Alg. 2]."""
+
+    def kernel(self) -> tuple[Any, ...] | None:
+        kind = kernels.kind_of(self.measurement, self.engine)
+        return None if kind is None or type(self) is not EKF else ("ekf", kind)
 
     def update(self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors) -> tuple[Array, Array]:
         h = self.measurement
@@ -82,8 +120,15 @@ class UKF(_Kalman):
     form: str = "averaged"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_number("lambda_", self.lambda_, least=0)
         check_choice("form", self.form, ("averaged", "centre", "augmented"))
+
+    def kernel(self) -> tuple[Any, ...] | None:
+        kind = kernels.kind_of(self.measurement, self.engine)
+        if kind is None or type(self) is not UKF or self.form == "augmented":
+            return None
+        return "ukf", kind, float(self.lambda_), ("averaged", "centre").index(self.form)
 
     def update(self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors) -> tuple[Array, Array]:
         if self.form == "augmented":

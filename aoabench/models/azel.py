@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -25,6 +25,7 @@ class AzEl:
     """AE model with constant deviations: `sigma_deg` (0, 180], or null for what each measurement states itself."""
 
     sigma_deg: float | None = None
+    kernel: ClassVar[str] = "azel"
 
     def __post_init__(self) -> None:
         check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
@@ -91,6 +92,7 @@ class AzElFitted(AzEl):
 
     fit: str = "printed"
     noise: Any = None
+    kernel: ClassVar[str] = "azel"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -123,6 +125,7 @@ class AzElAdaptive(AzEl):
     """AE model whose deviations follow the elevation: Model I's, looked up in a table of one-degree steps."""
 
     noise: Any = None
+    kernel: ClassVar[str] = "azel_adaptive"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -142,6 +145,10 @@ class AzElAdaptive(AzEl):
         index = np.rint(np.rad2deg(expected[..., 1::2]) + 90.0)
         index = np.nan_to_num(index, nan=90.0).astype(np.intp)
         return interleave(tuple(table[index] for table in _adaptive_variances(self.nominal())))
+
+    def variances(self) -> Array:
+        """The table (181, 2) rad^2 of azimuth's and elevation's variances at -90, -89 ... 90 degrees."""
+        return np.stack(_adaptive_variances(self.nominal()), axis=-1)
 
 
 @lru_cache(maxsize=32)

@@ -6,6 +6,7 @@ Components in anchor order: x, y, z of the unit vector in the frame of anchor 1,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,6 +24,7 @@ class UnitVector:
     """
 
     kappa: float | None = None
+    kernel: ClassVar[str] = "unit_vector"
 
     def __post_init__(self) -> None:
         check_number("kappa", self.kappa, above=0, most=1e15, optional=True)
