@@ -35,19 +35,20 @@ def simulate(scenario: Any, noise: Any, seed: int, replication: int) -> tuple[np
 
 
 class Draws:
-    """Simulated replications of one cell, each drawn once however many estimators ask for it."""
+    """Simulated replications of one cell; the last tile is kept, for the next estimator that asks for it."""
 
     def __init__(self, scenario: Any, noise: Any, seed: int) -> None:
         self.scenario, self.noise, self.seed = scenario, noise, seed
-        self._cache: dict[int, tuple[np.ndarray, Measurements, Any]] = {}
+        self._last: tuple[tuple[int, int], tuple[np.ndarray, Batch]] | None = None
 
     def tile(self, start: int, size: int) -> tuple[np.ndarray, Batch]:
         """Truth (size, T, n) and batch of the replications from `start` on."""
-        numbers = range(start, start + size)
-        for r in numbers:
-            if r not in self._cache:
-                self._cache[r] = simulate(self.scenario, self.noise, self.seed, r)
-        drawn = [self._cache[r] for r in numbers]
+        if self._last is None or self._last[0] != (start, size):
+            self._last = (start, size), self._simulated(start, size)
+        return self._last[1]
+
+    def _simulated(self, start: int, size: int) -> tuple[np.ndarray, Batch]:
+        drawn = [simulate(self.scenario, self.noise, self.seed, r) for r in range(start, start + size)]
         measured = {
             f.name: None if getattr(drawn[0][1], f.name) is None else np.stack([getattr(d[1], f.name) for d in drawn])
             for f in fields(Measurements)
@@ -60,41 +61,46 @@ class Draws:
             prior_cov=None if prior is None else prior[1],
             **measured,  # type: ignore[arg-type]
         )
-        for shared in (known.position, known.rotation, *(getattr(batch, f.name) for f in fields(batch))):
+        truth = np.stack([d[0] for d in drawn])
+        for shared in (truth, known.position, known.rotation, *(getattr(batch, f.name) for f in fields(batch))):
             if isinstance(shared, np.ndarray):
                 shared.setflags(write=False)  # all estimators see the same
-        return np.stack([d[0] for d in drawn]), batch
+        return truth, batch
 
 
 def run_block(
     scenario: Any, noise: Any, estimators: Mapping[str, Any], seed: int, start: int, stop: int, steps: bool = False
 ) -> dict[str, tuple[Rows, Rows | None]]:
-    """Rows of replications start..stop-1 for each estimator: per replication, and per step if asked for."""
+    """Rows of replications start..stop-1 for each estimator: per replication, and per step if asked for.
+
+    Estimators take turns tile by tile: what depends on the replication alone is drawn once for all of them, and no more
+    than a tile is held.
+    """
+    rows: dict[str, list[Rows]] = {name: [] for name in estimators}
+    details: dict[str, list[Rows]] = {name: [] for name in estimators}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
-        return {name: _run_one(draws, estimator, start, stop, steps) for name, estimator in estimators.items()}
+        for size in sorted({tile_of(estimator) for estimator in estimators.values()}):
+            names = [name for name, estimator in estimators.items() if tile_of(estimator) == size]
+            for first in range(start - start % size, stop, size):
+                for name in names:
+                    truth, estimates = estimate_tile(draws, estimators[name], first)
+                    keep = slice(max(start - first, 0), min(stop - first, size))
+                    rows[name].append(_rows(first, truth, estimates, keep))
+                    if steps:
+                        details[name].append(_details(first, truth, estimates, keep))
+    return {name: (_join(rows[name]), _join(details[name]) if steps else None) for name in estimators}
 
 
-def _run_one(draws: Draws, estimator: Any, start: int, stop: int, steps: bool) -> tuple[Rows, Rows | None]:
-    size = tile_of(estimator)
-    blocks: list[tuple[Rows, Rows | None]] = []
-    for first in range(start - start % size, stop, size):
-        truth, estimates = estimate_tile(draws, estimator, first)
-        keep = slice(max(start - first, 0), min(stop - first, size))
-        position = truth[..., :3]
-        rows = {k: v[keep] for k, v in metrics.per_replication(estimates, position).items()}
-        rows = {"replication": np.arange(first, first + size)[keep], **rows}
-        detail = None
-        if steps:
-            detail = {k: v[keep].ravel() for k, v in metrics.per_step(estimates, position).items()}
-            T = position.shape[1]
-            index = {
-                "replication": np.repeat(rows["replication"], T),
-                "step": np.tile(np.arange(T), len(rows["replication"])),
-            }
-            detail = {**index, **detail}
-        blocks.append((rows, detail))
-    return _join([b[0] for b in blocks]), _join([b[1] for b in blocks if b[1] is not None]) if steps else None
+def _rows(first: int, truth: np.ndarray, estimates: Estimates, keep: slice) -> Rows:
+    found = metrics.per_replication(estimates, truth[..., :3])
+    return {k: v[keep] for k, v in {"replication": first + np.arange(len(truth)), **found}.items()}
+
+
+def _details(first: int, truth: np.ndarray, estimates: Estimates, keep: slice) -> Rows:
+    replication, step = np.indices(truth.shape[:2])
+    found = metrics.per_step(estimates, truth[..., :3])
+    return {k: v[keep].ravel() for k, v in {"replication": first + replication, "step": step, **found}.items()}
 
 
 def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates]:
@@ -127,17 +133,19 @@ def time_estimators(
 ) -> dict[str, tuple[float, int, int]]:
     """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS at one thread.
 
-    After a first pass, which draws and warms up, up to `repeats` more, as long as they fit into about a second.
+    After a first pass, which warms up, up to `repeats` more on the next tiles, as long as they fit into about a second.
+    The simulation is not counted.
     """
     result = {}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for name, estimator in estimators.items():
-            draws.tile(0, tile_of(estimator))
             seconds: list[float] = []
             while len(seconds) <= repeats and sum(seconds) < 1.0:
+                first = len(seconds) * tile_of(estimator)
+                draws.tile(first, tile_of(estimator))
                 begin = time.perf_counter()
-                truth, _ = estimate_tile(draws, estimator, 0)
+                truth, _ = estimate_tile(draws, estimator, first)
                 seconds.append(time.perf_counter() - begin)
             seconds = seconds[1:] or seconds
             result[name] = (float(np.median(seconds)), truth.shape[0], truth.shape[1])

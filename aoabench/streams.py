@@ -32,6 +32,13 @@ def generator(seed: int, scenario: str, replication: int, role: int, purpose: in
     return np.random.Generator(np.random.Philox(sequence))
 
 
+@lru_cache(maxsize=256)
+def philox_key(seed: int, scenario: str, role: int, purpose: int) -> tuple[int, int]:
+    """The key (two words of 32 bits) of a counter-based generator for one role in all replications."""
+    first, second = np.random.SeedSequence((seed, *_words(scenario)), spawn_key=(role, purpose)).generate_state(2)
+    return int(first), int(second)
+
+
 @dataclass(frozen=True)
 class Streams:
     """The estimators' own randomness for a tile of replications, numbered `replications`."""
@@ -43,3 +50,7 @@ class Streams:
     def estimator(self, i: int, purpose: int = PARTICLES) -> np.random.Generator:
         """The generator for the tile's i-th replication; every estimator gets the same one."""
         return generator(self.seed, self.scenario, self.replications[i], ESTIMATOR, purpose)
+
+    def philox_key(self, purpose: int = PARTICLES) -> tuple[int, int]:
+        """Two words of 32 bits for draws by counter; the replication's number belongs into the counter."""
+        return philox_key(self.seed, self.scenario, ESTIMATOR, purpose)

@@ -1,22 +1,31 @@
-"""Bootstrap particle filter for any measurement model with a likelihood: the readable reference in double precision.
+"""Bootstrap particle filter for any measurement model with a likelihood.
 
 Weights live as logarithms: kappa = 1e6 and many steps without resampling do not underflow [Nurminen 2018, Alg. 1]:
 
     x_k^i ~ N(F x_{k-1}^i, Q),   log w_k^i = log w_{k-1}^i + log p(y_k | x_k^i),   x_k = sum_i w_k^i x_k^i
 
 and where 1 / sum_i (w_k^i)^2 < `resample_below` N, the particles are resampled systematically.
+
+`ParticleFilter` has it twice: as the readable reference in NumPy and double precision, and as a compiled kernel in
+single precision (`particle_kernels.py`) for the measurement models that name one.
 """
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any, ClassVar
 
 import numpy as np
 
+from aoabench.filters import kernels
 from aoabench.geometry import Array
 from aoabench.streams import PARTICLES, Streams
-from aoabench.types import BadValue, Batch, Estimates, Measurement, Outcome, check_number
+from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_choice, check_number
+
+SHARED_BYTES = 2**26  # the normals of one replication are kept for the next filter if they fit into this
 
 
 @dataclass(frozen=True)
@@ -24,17 +33,25 @@ class ParticleFilter:
     """`particles` > 0 of them; resampled where the effective number falls below the fraction `resample_below`.
 
     Every draw depends on the replication alone, never on the weights: all particle filters of one replication move
-    their particles by the same noise.
+    their particles by the same noise. `engine`: `auto` takes the compiled kernel where there is one for the measurement
+    model and the state is the position, `numpy` never does; their draws differ.
     """
 
     measurement: Measurement
     particles: int = 10_000
     resample_below: float = 0.1
+    engine: str = "auto"
     tile: ClassVar[int] = 1  # one replication at a time: the particles are the batch
 
     def __post_init__(self) -> None:
         check_number("particles", self.particles, least=1, most=10_000_000, integer=True)
         check_number("resample_below", self.resample_below, least=0, most=1)
+        check_choice("engine", self.engine, kernels.ENGINES)
+
+    def prepare(self, say: Callable[[str], None]) -> None:
+        """Compile what is needed, before others work in parallel."""
+        if kernels.kind_of(self.measurement, self.engine) is not None:
+            kernels.prepare("particle_kernels", say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Posterior means (R, T, 3) m and covariances (R, T, 3, 3) m^2.
@@ -45,32 +62,141 @@ class ParticleFilter:
         if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
             raise BadValue("filter", type(self).__name__, "a scenario with a motion model and a prior")
         Y, quality = self.measurement.observe(batch)
-        R, T, _ = Y.shape
-        position, covariance = np.full((R, T, 3), np.nan), np.full((R, T, 3, 3), np.nan)
-        outcome = np.full((R, T), Outcome.OK, dtype=np.int8)
         F, Q = scenario.motion.matrices(scenario.dt)
-        root_Q, root_P = np.linalg.cholesky(Q), np.linalg.cholesky(batch.prior_cov)
-        N, n = self.particles, len(F)
-        for i in range(R):
-            rng = streams.estimator(i, PARTICLES)
-            anchors = batch.anchors.of(i)
-            x = batch.prior_mean[i] + rng.standard_normal((N, n)) @ root_P.T
-            log_w = np.full(N, -np.log(N))
-            for k in range(T):
-                x = x @ F.T + rng.standard_normal((N, n)) @ root_Q.T
-                loglik = self.measurement.loglik(x[None], anchors, Y[i : i + 1, k], quality[i : i + 1, k])[0]
-                turn = rng.random()
-                log_w, w, informed = reweigh(log_w, loglik)
-                if not informed:
-                    outcome[i, k] = Outcome.DIVERGED
-                position[i, k] = w @ x[:, :3]
-                d = x[:, :3] - position[i, k]
-                covariance[i, k] = d.T @ (w[:, None] * d)
-                if 1.0 / (w @ w) < self.resample_below * N:
-                    x = x[systematic(w, turn)]
-                    log_w = np.full(N, -np.log(N))
+        kind = kernels.kind_of(self.measurement, self.engine) if len(F) == 3 else None
+        compiled = None if kind is None else kernels.load("particle_kernels")
+        means, covariances, outcomes = [], [], []
+        for i in range(len(Y)):
+            if compiled is None:
+                found = self._replication(batch, i, F, Q, Y[i], quality[i], self.generator(streams, i))
+            else:
+                found = self._compiled(compiled, batch, i, F, Q, Y[i], quality[i], streams)
+            means.append(found[0])
+            covariances.append(found[1])
+            outcomes.append(found[2])
+        position, outcome = np.stack(means), np.stack(outcomes)
         outcome[~np.isfinite(position).all(-1)] = Outcome.FAILED
-        return Estimates(position, covariance, None, outcome)
+        return Estimates(position, np.stack(covariances), None, outcome)
+
+    def generator(self, streams: Streams, i: int) -> np.random.Generator:
+        """Where the reference takes the draws of the tile's i-th replication from."""
+        return streams.estimator(i, PARTICLES)
+
+    def _replication(
+        self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array, np.ndarray]:
+        """One replication in NumPy: means (T, 3), covariances (T, 3, 3), outcomes (T,) from Y, quality (T, m)."""
+        assert batch.prior_mean is not None and batch.prior_cov is not None
+        (T, _), N, n = Y.shape, self.particles, len(F)
+        position, covariance, outcome = np.empty((T, 3)), np.empty((T, 3, 3)), np.full(T, Outcome.OK, dtype=np.int8)
+        root_Q, root_P = np.linalg.cholesky(Q), np.linalg.cholesky(batch.prior_cov)
+        anchors = batch.anchors.of(i)
+        x = batch.prior_mean[i] + rng.standard_normal((N, n)) @ root_P.T
+        log_w = np.full(N, -np.log(N))
+        for k in range(T):
+            x = x @ F.T + rng.standard_normal((N, n)) @ root_Q.T
+            loglik = self.measurement.loglik(x[None], anchors, Y[None, k], quality[None, k])[0]
+            turn = rng.random()
+            log_w, w, informed = reweigh(log_w, loglik)
+            if not informed:
+                outcome[k] = Outcome.DIVERGED
+            position[k] = w @ x[:, :3]
+            d = x[:, :3] - position[k]
+            covariance[k] = d.T @ (w[:, None] * d)
+            if 1.0 / (w @ w) < self.resample_below * N:
+                x = x[systematic(w, turn)]
+                log_w = np.full(N, -np.log(N))
+        return position, covariance, outcome
+
+    def _compiled(
+        self, compiled: ModuleType, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, streams: Streams
+    ) -> tuple[Array, Array, np.ndarray]:
+        """The same by the kernel, relative to the prior's mean."""
+        assert batch.prior_mean is not None and batch.prior_cov is not None
+        T, origin = len(Y), batch.prior_mean[i]
+        kind = kernels.kind_of(self.measurement, self.engine)
+        key, replication = streams.philox_key(PARTICLES), streams.replications[i]
+        noise = shared_normals(compiled, key, replication, T + 1, self.particles)
+        out = np.empty((T, 13))
+        compiled.lap(
+            kind,
+            self.particles,
+            noise,
+            replication,
+            *key,
+            F,
+            F @ origin - origin,
+            np.linalg.cholesky(Q),
+            np.linalg.cholesky(batch.prior_cov),
+            terms(kind, Y, quality, batch.anchors.of(i), origin),
+            weights_table(self.measurement),
+            self.resample_below,
+            out,
+        )
+        return out[:, :3] + origin, out[:, 3:12].reshape(T, 3, 3), np.full(T, Outcome.OK, dtype=np.int8)
+
+
+class _Shared(threading.local):
+    """The normals that this thread drew last; the filters of one replication ask for the same ones in turn."""
+
+    key: tuple[Any, ...] = ()
+    memory = np.empty(0, dtype=np.float32)
+
+
+_shared = _Shared()
+
+
+def shared_normals(compiled: ModuleType, key: tuple[int, int], replication: int, planes: int, particles: int) -> Any:
+    """Standard normals (planes, 3, M), float32, of one replication, M = `particles` rounded up to whole tiles.
+
+    Where they would take too much memory, (1, 3, M) for the kernel to draw them into, step by step.
+    """
+    M = -(-particles // compiled.TILE) * compiled.TILE
+    kept = 12 * planes * M <= SHARED_BYTES
+    shape = (planes if kept else 1, 3, M)
+    size = shape[0] * 3 * M
+    if len(_shared.memory) < size:
+        _shared.memory, _shared.key = np.empty(size, dtype=np.float32), ()
+    noise = _shared.memory[:size].reshape(shape)
+    wanted = (key, replication, shape)
+    if kept and _shared.key != wanted:
+        _shared.key = ()
+        for plane in range(planes):
+            compiled.normals(noise[plane], plane, replication, *key)
+        _shared.key = wanted
+    elif not kept:
+        _shared.key = ()
+    return noise
+
+
+def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) -> np.ndarray:
+    """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal variances (T, m).
+
+    See `particle_kernels.loglik`; what is not measured (NaN) gets the weight 0.
+    """
+    s, R = anchors.position[0] - origin, anchors.rotation[0]
+    B = len(s)
+    y, r = Y.reshape(len(Y), B, -1), quality.reshape(len(Y), B, -1)
+    c = np.zeros((len(Y), B, 15))
+    c[..., :3] = s
+    known = ~np.isnan(y)
+    y = np.where(known, y, 0.0)
+    if kind == kernels.KINDS.index("unit_vector"):
+        c[..., 3:6] = (y[..., None, :] @ R)[..., 0, :]
+        c[..., 6] = np.where(known.all(-1), 0.5 / r[..., 0], 0.0)
+        return c.astype(np.float32)
+    cosine, sine = np.cos(y[..., :1]), np.sin(y[..., :1])
+    c[..., 3:6] = cosine * R[:, 0] + sine * R[:, 1]
+    c[..., 6:9] = cosine * R[:, 1] - sine * R[:, 0]
+    c[..., 9:12] = R[:, 2]
+    c[..., 12] = y[..., 1]
+    c[..., 13:15] = known * (0.5 / r if kind == kernels.KINDS.index("azel") else 1.0)
+    return c.astype(np.float32)
+
+
+def weights_table(measurement: Measurement) -> np.ndarray:
+    """1 / (2 variance) of azimuth and elevation in turn, (362,) float32, at -90, -89 ... 90 degrees."""
+    return (0.5 / kernels.variances(measurement)).astype(np.float32).ravel()
 
 
 def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:

@@ -32,6 +32,8 @@ UNIT_VECTOR, AZEL, AZEL_ADAPTIVE = range(3)  # measurement models
 NORMALS, TURNS = range(2)  # streams
 TERMS = 15  # columns of the table of coefficients; see `loglik`
 
+LONELY = 1.00001  # an effective number of particles that has no covariance
+
 f4, f8, i4, u4, u8 = np.float32, np.float64, np.int32, np.uint32, np.uint64
 # contract: fused multiply-add; reassoc, nsz: sums in lanes; no flag may assume that infinities do not occur
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
@@ -112,6 +114,7 @@ def copy_pair(typingctx: Any, source: Any, i: Any, target: Any, k: Any) -> Any:
 # ---------------------------------------------------------------- polynomials, minimax over the range that is stated
 
 ZERO, HALF, ONE, TWO = f4(0.0), f4(0.5), f4(1.0), f4(2.0)
+LOWEST = f4(-40.0)  # smaller weights would not be seen beside the largest, 1, and their squares would be denormal
 PI, LOG2, LOG2E = f4(math.pi), f4(math.log(2.0)), f4(1.0 / math.log(2.0))
 TINY = f4(1e-30)  # m^2 or m: a particle on its anchor, or on its pole
 
@@ -144,13 +147,13 @@ def arctan(t):
 
 @inlined
 def exponential(x):
-    """exp(x), x <= 0; relative error below 4e-6 (2e-7 for x > -1), and 0 below x = -80."""
-    v = larger(x, f4(-80.0)) * LOG2E
+    """exp(x), x <= 0; relative error below 4e-6 (2e-7 for x > -1), and 0 below x = -40"""
+    v = larger(x, LOWEST) * LOG2E
     k = np.floor(v + HALF)
     f = v - k
     p = _E0 + f * (_E1 + f * (_E2 + f * (_E3 + f * (_E4 + f * _E5))))
     scale = as_float(i4((i4(k) + _BIAS) << _23))
-    return p * scale if x > f4(-80.0) else ZERO
+    return p * scale if x > LOWEST else ZERO
 
 
 @inlined
@@ -299,6 +302,36 @@ def move(x, y, z, n0, n1, n2, F, b, L):
         z[i] = b[2] + F[6] * p + F[7] * q + F[8] * r + L[6] * u + L[7] * v + L[8] * w
 
 
+@kernel("void(f4[::1], i8, f8, f8[::1], i4[::1], f4[::1], f4[:,::1], f4[:,::1])")
+def resample(w, N, turn, cumulative, first, parent, x, children):
+    """Systematic resampling of particles x (3, M) with weights w (M,), 0 from N on, and one uniform `turn` in [0, 1).
+
+    Particle i + 1 has its first child where the weights up to i end. Of several with the same place the last one has
+    it, the others have no children; a running maximum finds the parent of the other children. Without a branch that
+    could be mispredicted: the numbers of parents are float32, exact to 2^24. `cumulative`, `first` (M,), `parent`
+    (M + 1,): scratch.
+    """
+    total = 0.0
+    for i in range(len(w)):
+        total += w[i]
+        cumulative[i] = total
+    scale, end = N / total, i4(N)
+    for i in range(N):
+        first[i] = min(i4(math.ceil(cumulative[i] * scale - turn)), end)
+    parent[:] = ZERO
+    for i in range(N - 1):
+        parent[u4(first[i])] = f4(i + 1)
+    a, b, c = x[0], x[1], x[2]
+    u, v, w_ = children[0], children[1], children[2]
+    last = ZERO
+    for i in range(N):
+        last = larger(last, parent[i])
+        j = u4(i4(last))
+        u[i] = a[j]
+        v[i] = b[j]
+        w_[i] = c[j]
+
+
 @inlined
 def flat(A):
     """The 3 x 3 matrix A as nine float32."""
@@ -319,10 +352,9 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
     """
     M = noise.shape[2]
     T = terms.shape[0]
-    x, y, z = np.zeros(M, f4), np.zeros(M, f4), np.zeros(M, f4)
-    x2, y2, z2 = np.zeros(M, f4), np.zeros(M, f4), np.zeros(M, f4)
+    particles, children = np.zeros((3, M), f4), np.zeros((3, M), f4)
     log_w, w = np.empty(M, f4), np.empty(M, f4)
-    cumulative, ancestor = np.empty(M, np.float64), np.empty(M + 1, i4)
+    cumulative, first, parent = np.empty(M, f8), np.empty(M, i4), np.empty(M + 1, f4)
     tile, scratch = carray(stack(TILE), TILE), carray(stack(SCRATCH), SCRATCH)
     log_w[:N] = ZERO
     log_w[N:] = f4(-np.inf)
@@ -333,7 +365,7 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
         normals(noise[0], u8(0), replication, k0, k1)
     for o in range(0, M, TILE):
         s = slice(o, o + TILE)
-        move(x[s], y[s], z[s], noise[0, 0, s], noise[0, 1, s], noise[0, 2, s], P_, none, P_)
+        move(particles[0, s], particles[1, s], particles[2, s], noise[0, 0, s], noise[0, 1, s], noise[0, 2, s], P_, none, P_)
     mx, my, mz = 0.0, 0.0, 0.0
     for k in range(T):
         plane = k + 1
@@ -341,6 +373,7 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
             plane = 0
             normals(noise[0], u8(k + 1), replication, k0, k1)
         n = noise[plane]
+        x, y, z = particles[0], particles[1], particles[2]
         top = f4(-np.inf)
         for o in range(0, M, TILE):
             s = slice(o, o + TILE)
@@ -351,70 +384,60 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
                 l = ls[i] + tile[i]
                 ls[i] = l
                 top = larger(top, l)
-        # weights, and moments about the previous mean
         cx, cy, cz = f4(mx), f4(my), f4(mz)
-        S = S2 = Sx = Sy = Sz = Sxx = Sxy = Sxz = Syy = Syz = Szz = 0.0
-        for o in range(0, M, TILE):
+        S = S2 = Sx = Sy = Sz = 0.0
+        for o in range(0, M, TILE):  # weights, and the mean as seen from the previous one
             s = slice(o, o + TILE)
             xs, ys, zs, ls, ws = x[s], y[s], z[s], log_w[s], w[s]
-            a = a2 = ax = ay = az = axx = axy = axz = ayy = ayz = azz = ZERO
+            a = a2 = ax = ay = az = ZERO
             for i in range(TILE):
                 l = ls[i] - top
                 ls[i] = l
                 v = exponential(l)
                 ws[i] = v
-                p, q, r = xs[i] - cx, ys[i] - cy, zs[i] - cz
-                vp, vq, vr = v * p, v * q, v * r
                 a += v
                 a2 += v * v
-                ax += vp
-                ay += vq
-                az += vr
-                axx += vp * p
-                axy += vp * q
-                axz += vp * r
-                ayy += vq * q
-                ayz += vq * r
-                azz += vr * r
+                ax += v * (xs[i] - cx)
+                ay += v * (ys[i] - cy)
+                az += v * (zs[i] - cz)
             S += a
             S2 += a2
             Sx += ax
             Sy += ay
             Sz += az
+        mx, my, mz = cx + Sx / S, cy + Sy / S, cz + Sz / S
+        effective = S * S / S2
+        cx, cy, cz = f4(mx), f4(my), f4(mz)
+        Sxx = Sxy = Sxz = Syy = Syz = Szz = 0.0
+        for o in range(0, M, TILE):  # the covariance
+            s = slice(o, o + TILE)
+            xs, ys, zs, ws = x[s], y[s], z[s], w[s]
+            axx = axy = axz = ayy = ayz = azz = ZERO
+            for i in range(TILE):
+                p, q, r, v = xs[i] - cx, ys[i] - cy, zs[i] - cz, ws[i]
+                vp, vq = v * p, v * q
+                axx += vp * p
+                axy += vp * q
+                axz += vp * r
+                ayy += vq * q
+                ayz += vq * r
+                azz += v * r * r
             Sxx += axx
             Sxy += axy
             Sxz += axz
             Syy += ayy
             Syz += ayz
             Szz += azz
-        dx, dy, dz = Sx / S, Sy / S, Sz / S
-        mx, my, mz = cx + dx, cy + dy, cz + dz
-        o_ = out[k]
-        o_[0], o_[1], o_[2] = mx, my, mz
-        o_[3], o_[7], o_[11] = Sxx / S - dx * dx, Syy / S - dy * dy, Szz / S - dz * dz
-        o_[4] = o_[6] = Sxy / S - dx * dy
-        o_[5] = o_[9] = Sxz / S - dx * dz
-        o_[8] = o_[10] = Syz / S - dy * dz
-        o_[12] = effective = S * S / S2
+        row = out[k]
+        row[0], row[1], row[2], row[12] = mx, my, mz, effective
+        if effective < LONELY:  # what is left are rounding errors
+            S = math.inf
+        row[3], row[7], row[11] = Sxx / S, Syy / S, Szz / S
+        row[4] = row[6] = Sxy / S
+        row[5] = row[9] = Sxz / S
+        row[8] = row[10] = Syz / S
         if effective < resample_below * N:
-            total = 0.0
-            for i in range(M):
-                total += w[i]
-                cumulative[i] = total
             turn = f8(philox(u8(0), u8(k + 1), replication, u8(TURNS), k0, k1)[0]) * 2.0**-32
-            scale = N / total
-            ancestor[:] = i4(0)
-            for i in range(N - 1):
-                # the first child of particle i + 1; a later particle with the same first child takes it over
-                ancestor[min(i4(math.ceil(cumulative[i] * scale - turn)), i4(N))] = i4(i + 1)
-            last = i4(0)
-            for i in range(N):
-                last = max(last, ancestor[i])
-                ancestor[i] = last
-            for i in range(N):
-                j = ancestor[i]
-                x2[i], y2[i], z2[i] = x[j], y[j], z[j]
-            x, x2 = x2, x
-            y, y2 = y2, y
-            z, z2 = z2, z
+            resample(w, N, turn, cumulative, first, parent, particles, children)
+            particles, children = children, particles
             log_w[:N] = ZERO
