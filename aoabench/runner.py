@@ -150,6 +150,7 @@ def _compute(tasks: Sequence[Task], out: Path, progress: bool) -> None:
 
     if not tasks:
         return
+    prepare(tasks, progress)
     options = tasks[0].cell.runner
     workers = min(cores(options.n_jobs), len(tasks))
     with _bar(sum(task.size for task in tasks), progress) as advance:
@@ -159,13 +160,27 @@ def _compute(tasks: Sequence[Task], out: Path, progress: bool) -> None:
             return
         # threads share one BLAS: limit it here, once, not in each block
         limit = threadpool_limits(1) if options.backend == "threading" else nullcontext()
-        prepare = {"initializer": _find_plugins, "initargs": (list(sys.path),)} if options.backend == "loky" else {}
+        paths = {"initializer": _find_plugins, "initargs": (list(sys.path),)} if options.backend == "loky" else {}
         parallel = Parallel(
-            workers, backend=options.backend, return_as="generator_unordered", pre_dispatch="2*n_jobs", **prepare
+            workers, backend=options.backend, return_as="generator_unordered", pre_dispatch="2*n_jobs", **paths
         )
         with limit:
             for size in parallel(delayed(compute)(task, out) for task in tasks):
                 advance(size)
+
+
+def prepare(tasks: Sequence[Task], progress: bool) -> None:
+    """Let estimators compile or load what they need here, once, before workers ask for it all at the same time."""
+    said: set[str] = set()
+
+    def say(line: str) -> None:
+        if progress and line not in said:
+            said.add(line)
+            print(line, file=sys.stderr, flush=True)
+
+    for estimator in {id(e): e for task in tasks for e in task.cell.estimators.values()}.values():
+        if hasattr(estimator, "prepare"):
+            estimator.prepare(say)
 
 
 def _find_plugins(path: list[str]) -> None:

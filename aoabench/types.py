@@ -217,7 +217,8 @@ class Measurement(Protocol):
 class Estimator(Protocol):
     """The one plug that recursive filters and snapshot estimators share.
 
-    An optional class attribute `tile` says how many replications it wants at once (always exactly that many).
+    An optional class attribute `tile` says how many replications it wants at once (always exactly that many). An
+    optional method `prepare(say)` is called once before others work in parallel, to compile something, say.
     """
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates: ...

@@ -34,7 +34,8 @@ class ParticleFilter:
 
     Every draw depends on the replication alone, never on the weights: all particle filters of one replication move
     their particles by the same noise. `engine`: `auto` takes the compiled kernel where there is one for the measurement
-    model and the state is the position, `numpy` never does; their draws differ.
+    model and the state is the position; `numpy` never does, and has draws of its own; `double` is `numpy` with the
+    kernel's draws, to see what single precision does.
     """
 
     measurement: Measurement
@@ -46,7 +47,7 @@ class ParticleFilter:
     def __post_init__(self) -> None:
         check_number("particles", self.particles, least=1, most=10_000_000, integer=True)
         check_number("resample_below", self.resample_below, least=0, most=1)
-        check_choice("engine", self.engine, kernels.ENGINES)
+        check_choice("engine", self.engine, (*kernels.ENGINES, "double"))
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
@@ -78,9 +79,14 @@ class ParticleFilter:
         outcome[~np.isfinite(position).all(-1)] = Outcome.FAILED
         return Estimates(position, np.stack(covariances), None, outcome)
 
-    def generator(self, streams: Streams, i: int) -> np.random.Generator:
+    def generator(self, streams: Streams, i: int) -> Any:
         """Where the reference takes the draws of the tile's i-th replication from."""
-        return streams.estimator(i, PARTICLES)
+        if self.engine != "double":
+            return streams.estimator(i, PARTICLES)
+        compiled = kernels.load("particle_kernels")
+        if compiled is None:
+            raise BadValue("engine", "double", "auto or numpy where numba is not installed")
+        return _KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[i])
 
     def _replication(
         self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, rng: np.random.Generator
@@ -167,6 +173,29 @@ def shared_normals(compiled: ModuleType, key: tuple[int, int], replication: int,
     elif not kept:
         _shared.key = ()
     return noise
+
+
+@dataclass
+class _KernelDraws:
+    """The kernel's draws in the order in which the reference asks for them."""
+
+    compiled: ModuleType
+    key: tuple[int, int]
+    replication: int
+    normals: int = 0
+    turns: int = 0
+
+    def standard_normal(self, shape: tuple[int, int]) -> Array:
+        """The next plane of normals, (N, 3)."""
+        plane = np.empty((3, -(-shape[0] // self.compiled.TILE) * self.compiled.TILE), dtype=np.float32)
+        self.compiled.normals(plane, self.normals, self.replication, *self.key)
+        self.normals += 1
+        return plane[:, : shape[0]].T.astype(float)
+
+    def random(self) -> float:
+        """The next step's uniform number."""
+        self.turns += 1
+        return self.compiled.turn(self.turns, self.replication, *self.key)
 
 
 def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) -> np.ndarray:

@@ -11,7 +11,7 @@ The arithmetic is `filters/particle.py`'s. What differs is the order and the pre
 - sums of weights are single precision within a tile and double over tiles; cumulative weights are double.
 
 Whoever changes this file: kernels may use nothing but this file (the cache on disk sees only its own), and
-`tests/filters/test_particle_kernels.py` reads the generated machine code.
+`tests/theory/test_particle_kernels.py` reads the generated machine code.
 """
 
 from __future__ import annotations
@@ -217,6 +217,12 @@ def normals(out, step, replication, k0, k1):
             z[i] = radius(c) * sine
 
 
+@kernel("f8(u8, u8, u8, u8)")
+def turn(step, replication, k0, k1):
+    """One uniform in [0, 1) for the resampling after a step."""
+    return f8(philox(u8(0), step, replication, u8(TURNS), k0, k1)[0]) * 2.0**-32
+
+
 # -------------------------------------------------------------------------------------- likelihoods, one tile at a time
 
 
@@ -302,9 +308,42 @@ def move(x, y, z, n0, n1, n2, F, b, L):
         z[i] = b[2] + F[6] * p + F[7] * q + F[8] * r + L[6] * u + L[7] * v + L[8] * w
 
 
+@inlined
+def weigh(x, y, z, log_w, w, top, c):
+    """Weights of one tile, relative to the largest one's logarithm `top`; their sum, their squares', first moments."""
+    a = a2 = ax = ay = az = ZERO
+    for i in range(TILE):
+        l = log_w[i] - top
+        log_w[i] = l
+        v = exponential(l)
+        w[i] = v
+        a += v
+        a2 += v * v
+        ax += v * (x[i] - c[0])
+        ay += v * (y[i] - c[1])
+        az += v * (z[i] - c[2])
+    return a, a2, ax, ay, az
+
+
+@inlined
+def squares(x, y, z, w, c):
+    """Second moments of one tile about c: xx, xy, xz, yy, yz, zz."""
+    xx = xy = xz = yy = yz = zz = ZERO
+    for i in range(TILE):
+        p, q, r, v = x[i] - c[0], y[i] - c[1], z[i] - c[2], w[i]
+        vp, vq = v * p, v * q
+        xx += vp * p
+        xy += vp * q
+        xz += vp * r
+        yy += vq * q
+        yz += vq * r
+        zz += v * r * r
+    return xx, xy, xz, yy, yz, zz
+
+
 @kernel("void(f4[::1], i8, f8, f8[::1], i4[::1], f4[::1], f4[:,::1], f4[:,::1])")
-def resample(w, N, turn, cumulative, first, parent, x, children):
-    """Systematic resampling of particles x (3, M) with weights w (M,), 0 from N on, and one uniform `turn` in [0, 1).
+def resample(w, N, uniform, cumulative, first, parent, x, children):
+    """Systematic resampling of particles x (3, M) with weights w (M,), 0 from N on, and one uniform in [0, 1).
 
     Particle i + 1 has its first child where the weights up to i end. Of several with the same place the last one has
     it, the others have no children; a running maximum finds the parent of the other children. Without a branch that
@@ -317,7 +356,7 @@ def resample(w, N, turn, cumulative, first, parent, x, children):
         cumulative[i] = total
     scale, end = N / total, i4(N)
     for i in range(N):
-        first[i] = min(i4(math.ceil(cumulative[i] * scale - turn)), end)
+        first[i] = min(i4(math.ceil(cumulative[i] * scale - uniform)), end)
     parent[:] = ZERO
     for i in range(N - 1):
         parent[u4(first[i])] = f4(i + 1)
@@ -384,50 +423,20 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
                 l = ls[i] + tile[i]
                 ls[i] = l
                 top = larger(top, l)
-        cx, cy, cz = f4(mx), f4(my), f4(mz)
+        c = (f4(mx), f4(my), f4(mz))
         S = S2 = Sx = Sy = Sz = 0.0
-        for o in range(0, M, TILE):  # weights, and the mean as seen from the previous one
+        for o in range(0, M, TILE):
             s = slice(o, o + TILE)
-            xs, ys, zs, ls, ws = x[s], y[s], z[s], log_w[s], w[s]
-            a = a2 = ax = ay = az = ZERO
-            for i in range(TILE):
-                l = ls[i] - top
-                ls[i] = l
-                v = exponential(l)
-                ws[i] = v
-                a += v
-                a2 += v * v
-                ax += v * (xs[i] - cx)
-                ay += v * (ys[i] - cy)
-                az += v * (zs[i] - cz)
-            S += a
-            S2 += a2
-            Sx += ax
-            Sy += ay
-            Sz += az
-        mx, my, mz = cx + Sx / S, cy + Sy / S, cz + Sz / S
+            a, a2, ax, ay, az = weigh(x[s], y[s], z[s], log_w[s], w[s], top, c)
+            S, S2, Sx, Sy, Sz = S + a, S2 + a2, Sx + ax, Sy + ay, Sz + az
+        mx, my, mz = c[0] + Sx / S, c[1] + Sy / S, c[2] + Sz / S
         effective = S * S / S2
-        cx, cy, cz = f4(mx), f4(my), f4(mz)
+        c = (f4(mx), f4(my), f4(mz))
         Sxx = Sxy = Sxz = Syy = Syz = Szz = 0.0
-        for o in range(0, M, TILE):  # the covariance
+        for o in range(0, M, TILE):
             s = slice(o, o + TILE)
-            xs, ys, zs, ws = x[s], y[s], z[s], w[s]
-            axx = axy = axz = ayy = ayz = azz = ZERO
-            for i in range(TILE):
-                p, q, r, v = xs[i] - cx, ys[i] - cy, zs[i] - cz, ws[i]
-                vp, vq = v * p, v * q
-                axx += vp * p
-                axy += vp * q
-                axz += vp * r
-                ayy += vq * q
-                ayz += vq * r
-                azz += v * r * r
-            Sxx += axx
-            Sxy += axy
-            Sxz += axz
-            Syy += ayy
-            Syz += ayz
-            Szz += azz
+            axx, axy, axz, ayy, ayz, azz = squares(x[s], y[s], z[s], w[s], c)
+            Sxx, Sxy, Sxz, Syy, Syz, Szz = Sxx + axx, Sxy + axy, Sxz + axz, Syy + ayy, Syz + ayz, Szz + azz
         row = out[k]
         row[0], row[1], row[2], row[12] = mx, my, mz, effective
         if effective < LONELY:  # what is left are rounding errors
@@ -437,7 +446,6 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
         row[5] = row[9] = Sxz / S
         row[8] = row[10] = Syz / S
         if effective < resample_below * N:
-            turn = f8(philox(u8(0), u8(k + 1), replication, u8(TURNS), k0, k1)[0]) * 2.0**-32
-            resample(w, N, turn, cumulative, first, parent, particles, children)
+            resample(w, N, turn(u8(k + 1), replication, k0, k1), cumulative, first, parent, particles, children)
             particles, children = children, particles
             log_w[:N] = ZERO
