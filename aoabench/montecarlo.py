@@ -98,9 +98,10 @@ def _rows(first: int, truth: np.ndarray, estimates: Estimates, keep: slice) -> R
 
 
 def _details(first: int, truth: np.ndarray, estimates: Estimates, keep: slice) -> Rows:
-    replication, step = np.indices(truth.shape[:2])
-    found = metrics.per_step(estimates, truth[..., :3])
-    return {k: v[keep].ravel() for k, v in {"replication": first + replication, "step": step, **found}.items()}
+    R, T = truth.shape[:2]
+    found = {"replication": np.tile(first + np.arange(R), (T, 1)).T, "step": np.tile(np.arange(T), (R, 1))}
+    found |= metrics.per_step(estimates, truth[..., :3])
+    return {k: v[keep].ravel() for k, v in found.items()}
 
 
 def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates]:

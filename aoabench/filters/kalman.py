@@ -51,24 +51,23 @@ class _Kalman:
         Y, quality = self.measurement.observe(batch)
         kernel = self.kernel()
         compiled = None if kernel is None else kernels.load("kalman_kernels")
-        if compiled is None:
-            position, covariance = self._recursion(batch, F, Q, Y, quality)
+        if kernel is None or compiled is None:
+            position, covariance = self._recursion(batch, batch.prior_cov, F, Q, Y, quality)
         else:
             position, covariance = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
             function, kind, *more = kernel
-            table = kernels.variances(self.measurement)
-            shared = (batch.prior_mean, batch.prior_cov, F, Q, Y, quality, batch.anchors.position, batch.anchors.rotation)
-            given = (np.ascontiguousarray(a, dtype=float) for a in (*shared, table))
+            model, anchors = (batch.prior_mean, batch.prior_cov, F, Q), batch.anchors
+            arrays = (*model, Y, quality, anchors.position, anchors.rotation, kernels.variances(self.measurement))
+            given = (np.ascontiguousarray(a, dtype=float) for a in arrays)
             getattr(compiled, function)(kind, *given, position, covariance, *more)
         finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
         return Estimates(position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8))
 
-    def _recursion(self, batch: Batch, F: Array, Q: Array, Y: Array, quality: Array) -> tuple[Array, Array]:
+    def _recursion(self, batch: Batch, P: Array, F: Array, Q: Array, Y: Array, quality: Array) -> tuple[Array, Array]:
         """The same in NumPy, for any measurement model."""
-        x, P0 = batch.prior_mean, batch.prior_cov
-        assert x is not None and P0 is not None
-        P = np.broadcast_to(P0, (*x.shape, x.shape[-1]))
+        x = np.asarray(batch.prior_mean)
+        P = np.broadcast_to(P, (*x.shape, x.shape[-1]))
         means, covariances = [], []
         with np.errstate(all="ignore"):  # a replication that overflows becomes NaN and is counted as failed
             for k in range(Y.shape[1]):
@@ -84,7 +83,7 @@ class _Kalman:
         raise NotImplementedError
 
     def kernel(self) -> tuple[Any, ...] | None:
-        """Name of the compiled function, number of the measurement model and further arguments; None if there is none."""
+        """Compiled function, number of the measurement model and further arguments; None if there is none."""
         return None
 
 

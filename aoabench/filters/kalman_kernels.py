@@ -149,7 +149,12 @@ def given(dimensions: int) -> types.Array:
     return types.Array(types.float64, dimensions, "C", readonly=True)
 
 
-ARGUMENTS = (types.intp, *(given(d) for d in (2, 2, 2, 2, 3, 3, 3, 4, 2)), types.float64[:, :, ::1], types.float64[:, :, :, ::1])
+ARGUMENTS = (
+    types.intp,
+    *(given(d) for d in (2, 2, 2, 2, 3, 3, 3, 4, 2)),
+    types.float64[:, :, ::1],
+    types.float64[:, :, :, ::1],
+)
 
 
 @kernel(types.void(*ARGUMENTS))
@@ -162,7 +167,8 @@ def ekf(kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covari
     (R, T, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
     d = m // B
     x, b, work, h = np.empty(n), np.empty(n), np.empty(n), np.empty((3, 3))
-    P, L, M, G, V, FP = (np.zeros((n, n)), np.zeros((n, n)), np.empty((n, n)), np.zeros((n, n)), np.empty((n, n)), np.empty((n, n)))  # fmt: skip
+    P, M, V, FP = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    L, G = np.zeros((n, n)), np.zeros((n, n))
     A, g, AL = np.empty((3, 3)), np.empty(3), np.empty((3, n))
     for r in range(R):
         a = r if len(position) > 1 else 0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import threading
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -30,7 +30,7 @@ def variances(measurement: Any) -> np.ndarray:
     return measurement.variances() if hasattr(measurement, "variances") else np.ones((181, 2))
 
 
-@lru_cache(maxsize=None)
+@cache
 def load(name: str) -> ModuleType | None:
     """The module aoabench.filters.`name`, compiled or from the cache on disk; None where numba is missing."""
     try:

@@ -68,10 +68,10 @@ class ParticleFilter:
         compiled = None if kind is None else kernels.load("particle_kernels")
         means, covariances, outcomes = [], [], []
         for i in range(len(Y)):
-            if compiled is None:
+            if kind is None or compiled is None:
                 found = self._replication(batch, i, F, Q, Y[i], quality[i], self.generator(streams, i))
             else:
-                found = self._compiled(compiled, batch, i, F, Q, Y[i], quality[i], streams)
+                found = self._compiled(compiled, kind, batch, i, F, Q, Y[i], quality[i], streams)
             means.append(found[0])
             covariances.append(found[1])
             outcomes.append(found[2])
@@ -92,7 +92,8 @@ class ParticleFilter:
         self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, np.ndarray]:
         """One replication in NumPy: means (T, 3), covariances (T, 3, 3), outcomes (T,) from Y, quality (T, m)."""
-        assert batch.prior_mean is not None and batch.prior_cov is not None
+        assert batch.prior_mean is not None
+        assert batch.prior_cov is not None
         (T, _), N, n = Y.shape, self.particles, len(F)
         position, covariance, outcome = np.empty((T, 3)), np.empty((T, 3, 3)), np.full(T, Outcome.OK, dtype=np.int8)
         root_Q, root_P = np.linalg.cholesky(Q), np.linalg.cholesky(batch.prior_cov)
@@ -115,12 +116,21 @@ class ParticleFilter:
         return position, covariance, outcome
 
     def _compiled(
-        self, compiled: ModuleType, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, streams: Streams
+        self,
+        compiled: ModuleType,
+        kind: int,
+        batch: Batch,
+        i: int,
+        F: Array,
+        Q: Array,
+        Y: Array,
+        quality: Array,
+        streams: Streams,
     ) -> tuple[Array, Array, np.ndarray]:
         """The same by the kernel, relative to the prior's mean."""
-        assert batch.prior_mean is not None and batch.prior_cov is not None
+        assert batch.prior_mean is not None
+        assert batch.prior_cov is not None
         T, origin = len(Y), batch.prior_mean[i]
-        kind = kernels.kind_of(self.measurement, self.engine)
         key, replication = streams.philox_key(PARTICLES), streams.replications[i]
         noise = shared_normals(compiled, key, replication, T + 1, self.particles)
         out = np.empty((T, 13))
