@@ -129,8 +129,10 @@ def _tasks(cell: Cell, keys: Mapping[str, str], out: Path, claimed: set[str]) ->
 
 
 def cores(n_jobs: int) -> int:
-    """Workers that `n_jobs` stands for."""
-    return (os.cpu_count() or 1) if n_jobs < 0 else n_jobs
+    """Workers that `n_jobs` stands for; -1: as many as the process may use (affinity, containers)."""
+    from joblib import cpu_count
+
+    return cpu_count() if n_jobs < 0 else n_jobs
 
 
 def compute(task: Task, out: Path) -> int:

@@ -37,7 +37,7 @@ def available() -> dict[str, Callable[[Any, Batch, float, int], dict[str, Lap]]]
 
 
 def stone_soup(scenario: Any, batch: Batch, sigma: float, particles: int) -> dict[str, Lap]:
-    """EKF, UKF and particle filter; one combined measurement of all anchors, which is faster than one after the other."""
+    """EKF, UKF and particle filter; one combined measurement of all anchors: faster than one after the other."""
     from stonesoup.models.measurement.nonlinear import (
         CartesianToElevationBearing,
         CombinedReversibleGaussianMeasurementModel,
@@ -92,7 +92,7 @@ def stone_soup(scenario: Any, batch: Batch, sigma: float, particles: int) -> dic
     return {
         "EKF": lambda: lap(ExtendedKalmanPredictor(motion), ExtendedKalmanUpdater(), gaussian),
         "UKF": lambda: lap(UnscentedKalmanPredictor(motion), UnscentedKalmanUpdater(), gaussian),
-        "PF": lambda: lap(ParticlePredictor(motion), ParticleUpdater(resampler=resampler), cloud),
+        "PF": lambda: lap(ParticlePredictor(motion), ParticleUpdater(measurement, resampler=resampler), cloud),
     }
 
 
