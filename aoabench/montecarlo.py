@@ -20,6 +20,8 @@ from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome, Use
 
 Rows = dict[str, np.ndarray]
 
+_SPAN = 64  # replications whose estimates are held before they become rows
+
 
 def tile_of(estimator: Any) -> int:
     """How many replications this estimator takes at once."""
@@ -73,8 +75,7 @@ def run_block(
 ) -> dict[str, tuple[Rows, Rows | None]]:
     """Rows of replications start..stop-1 for each estimator: per replication, and per step if asked for.
 
-    Estimators take turns tile by tile: what depends on the replication alone is drawn once for all of them, and no more
-    than a tile is held.
+    Estimators take turns tile by tile: what depends on the replication alone is drawn once for all of them.
     """
     rows: dict[str, list[Rows]] = {name: [] for name in estimators}
     details: dict[str, list[Rows]] = {name: [] for name in estimators}
@@ -82,24 +83,34 @@ def run_block(
         draws = Draws(scenario, noise, seed)
         for size in sorted({tile_of(estimator) for estimator in estimators.values()}):
             names = [name for name, estimator in estimators.items() if tile_of(estimator) == size]
-            for first in range(start - start % size, stop, size):
+            span = size * max(_SPAN // size, 1)
+            for first in range(start - start % size, stop, span):
+                tiles = range(first, min(first + span, stop), size)
+                found = [{name: estimate_tile(draws, estimators[name], tile) for name in names} for tile in tiles]
+                numbers = np.arange(first, tiles[-1] + size)
+                keep = (numbers >= start) & (numbers < stop)
                 for name in names:
-                    truth, estimates = estimate_tile(draws, estimators[name], first)
-                    keep = slice(max(start - first, 0), min(stop - first, size))
-                    rows[name].append(_rows(first, truth, estimates, keep))
+                    truth = np.concatenate([tile[name][0] for tile in found])
+                    estimates = _one_after_the_other([tile[name][1] for tile in found])
+                    rows[name].append(_rows(numbers, truth, estimates, keep))
                     if steps:
-                        details[name].append(_details(first, truth, estimates, keep))
+                        details[name].append(_details(numbers, truth, estimates, keep))
     return {name: (_join(rows[name]), _join(details[name]) if steps else None) for name in estimators}
 
 
-def _rows(first: int, truth: np.ndarray, estimates: Estimates, keep: slice) -> Rows:
-    found = metrics.per_replication(estimates, truth[..., :3])
-    return {k: v[keep] for k, v in {"replication": first + np.arange(len(truth)), **found}.items()}
+def _one_after_the_other(tiles: list[Estimates]) -> Estimates:
+    values = {f.name: [getattr(tile, f.name) for tile in tiles] for f in fields(Estimates)}
+    return Estimates(**{name: None if v[0] is None else np.concatenate(v) for name, v in values.items()})  # type: ignore[arg-type]
 
 
-def _details(first: int, truth: np.ndarray, estimates: Estimates, keep: slice) -> Rows:
+def _rows(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray) -> Rows:
+    found = {"replication": numbers, **metrics.per_replication(estimates, truth[..., :3])}
+    return {k: v[keep] for k, v in found.items()}
+
+
+def _details(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray) -> Rows:
     R, T = truth.shape[:2]
-    found = {"replication": np.tile(first + np.arange(R), (T, 1)).T, "step": np.tile(np.arange(T), (R, 1))}
+    found = {"replication": np.tile(numbers, (T, 1)).T, "step": np.tile(np.arange(T), (R, 1))}
     found |= metrics.per_step(estimates, truth[..., :3])
     return {k: v[keep].ravel() for k, v in found.items()}
 
@@ -124,7 +135,7 @@ def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimate
             continue
         if np.shape(value) != expected:
             raise UserError(f"{name}: Estimates.{field} must have the shape {expected}, not {np.shape(value)}")
-    given = ~np.isin(estimates.outcome, (Outcome.FAILED, Outcome.REJECTED))
+    given = (estimates.outcome != Outcome.FAILED) & (estimates.outcome != Outcome.REJECTED)
     lost = given & ~np.isfinite(estimates.position[..., :2]).all(-1)
     return replace(estimates, outcome=np.where(lost, Outcome.FAILED, estimates.outcome).astype(np.int8))
 

@@ -1,160 +1,308 @@
-"""`make bench`: speed and memory, ratios and medians of one run, written to results/bench.
+"""What `make bench` measures. Every function gives rows; nothing is asserted here, because a shared machine is noisy.
 
-Nothing is asserted here: a shared machine is noisy. Each row says what was measured and how.
+What is compared is run in turn, and medians are taken, so that a load of the machine meets all of it.
 """
 
 from __future__ import annotations
 
-import argparse
-import functools
-import resource
+import math
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from aoabench import montecarlo, store
+import numpy as np
+
+from aoabench import montecarlo, runner, store, tables
+from aoabench.bench import peers
 from aoabench.composing import compose_cells
+from aoabench.config import Cell
+from aoabench.report import study
+from aoabench.streams import Streams
 
-KALMAN = [f"{a}_{m}" for a in ("ekf", "ukf") for m in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")]
-AT_MOST = {"ekf": 5.0, "ukf": 15.0}  # microseconds per replication and step
-
-
-def main() -> None:
-    """Measure everything and write results/bench/bench.parquet."""
-    parser = argparse.ArgumentParser(prog="python -m aoabench.bench")
-    parser.add_argument("--results", default="results", type=Path)
-    parser.add_argument("--repeats", default=9, type=int)
-    given = parser.parse_args()
-    rows: list[tuple[str, str, float, str, str, str]] = []
-    for part in (kalman_steps, cold_start, command_times, scaling, memory):
-        for row in part(given.repeats):
-            rows.append(row)
-            what, detail, value, unit, target, _ = row
-            print(f"{what:42s} {detail:34s} {value:10.3f} {unit:14s} {target}", flush=True)
-    import pandas as pd
-
-    frame = pd.DataFrame(rows, columns=["what", "detail", "value", "unit", "target", "how"])
-    path = given.results / "bench" / "bench.parquet"
-    store.write_frame(path, frame)
-    print(f"written to {path}")
+MODELS = ("vmf", "ae_nominal", "ae_fitted", "ae_adaptive")
+PARTICLES = 10_000
 
 
-def kalman_steps(repeats: int) -> list[tuple[str, str, float, str, str, str]]:
-    """Microseconds per replication and step of each Kalman filter, and against a plain loop over replications."""
-    cell = compose_cells([f"filter=[{','.join(KALMAN)}]", "noise=vmf"])[0]
-    timed = montecarlo.time_estimators(cell.scenario, cell.noise, cell.estimators, 1, repeats)
-    rows = []
-    how = f"median of {repeats} serial passes over a tile of 128 replications, 64 steps, 4 anchors; BLAS at one thread"
-    for name, (seconds, replications, steps) in timed.items():
-        target = f"at most {AT_MOST[name[:3]]:g}"
-        rows.append(("Kalman step", name, 1e6 * seconds / (replications * steps), "us", target, how))
-    for name in ("ekf_vmf", "ukf_vmf"):
-        seconds, replications, steps = timed[name]
-        one = statistics.median(_seconds(functools.partial(_one_by_one, cell, name), 3))
-        batched = seconds / (replications * steps)
-        ratio = one / (8 * steps) / batched
-        rows.append(
-            ("batched over one at a time", name, ratio, "x", "", "the same filter on 8 tiles of one replication each")
-        )
-    return rows
+@dataclass(frozen=True)
+class Row:
+    """One measured number; `target` says what it should reach, `how` how it was measured."""
+
+    what: str
+    detail: str
+    value: float
+    unit: str
+    target: str
+    how: str
 
 
-def _one_by_one(cell: Any, name: str) -> None:
-    import dataclasses
-
-    estimator = cell.estimators[name]
-    draws = montecarlo.Draws(cell.scenario, cell.noise, 1)
-    for r in range(8):
-        truth, batch = draws.tile(r, 1)
-        streams = montecarlo.Streams(1, cell.scenario.name, (r,))
-        assert dataclasses.is_dataclass(estimator(batch, cell.scenario, streams))
-
-
-def cold_start(repeats: int) -> list[tuple[str, str, float, str, str, str]]:
-    """Seconds to import the package and to answer `aoabench list`."""
-    import_ = _command([sys.executable, "-c", "import aoabench"], repeats)
-    listing = _command([sys.executable, "-m", "aoabench.cli", "list"], repeats)
-    how = f"median wall time of {repeats} fresh processes"
-    return [
-        ("start", "import aoabench", import_, "s", "", how),
-        ("start", "aoabench list", listing, "s", "at most 1.5", how),
-    ]
+def in_turn(actions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
+    """Median seconds of each action after one call of each to warm up."""
+    seconds: dict[str, list[float]] = {name: [] for name in actions}
+    for turn in range(repeats + 1):
+        for name, action in actions.items():
+            begin = time.perf_counter()
+            action()
+            if turn:
+                seconds[name].append(time.perf_counter() - begin)
+    return {name: statistics.median(found) for name, found in seconds.items()}
 
 
-def command_times(repeats: int) -> list[tuple[str, str, float, str, str, str]]:
-    """Seconds of `aoabench run` with one replication, fresh and with nothing left to compute."""
-    with tempfile.TemporaryDirectory() as folder:
-        words = ["run", "filter=[ekf_vmf]", "reps=1", "runner.n_jobs=1"]
-        fresh = [
-            _command([sys.executable, "-m", "aoabench.cli", *words, f"runner.out={folder}/{i}"], 1) for i in range(3)
+def _cell(names: list[str], *words: str) -> Cell:
+    return compose_cells([f"filter=[{','.join(names)}]", *words])[0]
+
+
+class _Laps:
+    """One estimator, called on the next tile of replications each time; only its own work is in the time."""
+
+    def __init__(self, cell: Cell, name: str, engine: str = "auto", tiles: int = 4) -> None:
+        self.estimator, self.cell, self.next = replace(cell.estimators[name], engine=engine), cell, 0
+        size = montecarlo.tile_of(self.estimator)
+        draws = montecarlo.Draws(cell.scenario, cell.noise, cell.seed)
+        self.batches = [draws.tile(i * size, size)[1] for i in range(tiles)]
+        self.streams = [
+            Streams(cell.seed, cell.scenario.name, tuple(range(i * size, (i + 1) * size))) for i in range(tiles)
         ]
-        again = _command([sys.executable, "-m", "aoabench.cli", *words, f"runner.out={folder}/0"], 3)
-    how = "median wall time of 3 processes"
-    return [
-        ("start", "aoabench run reps=1", statistics.median(fresh), "s", "at most 4", how),
-        ("start", "aoabench run reps=1, all reused", again, "s", "at most 4", how),
-    ]
+        self.steps = size * self.batches[0].azimuth.shape[1]
+
+    def __call__(self) -> None:
+        i = self.next % len(self.batches)
+        self.next += 1
+        self.estimator(self.batches[i], self.cell.scenario, self.streams[i])
 
 
-def scaling(repeats: int) -> list[tuple[str, str, float, str, str, str]]:
+def kalman(repeats: int) -> Iterator[Row]:
+    """Microseconds per replication and step; against NumPy and against other libraries on the same work."""
+    names = [f"{a}_{m}" for a in ("ekf", "ukf") for m in MODELS]
+    cell = _cell(names, "noise=vmf")
+    actions: dict[str, Callable[[], Any]] = {}
+    laps = {name: (_Laps(cell, name), _Laps(cell, name, "numpy")) for name in names}
+    for name, (fast, slow) in laps.items():
+        actions[name], actions[name + " numpy"] = fast, slow
+    _, batch = montecarlo.Draws(cell.scenario, cell.noise, cell.seed).tile(0, 1)
+    others = {n: f(cell.scenario, batch, math.radians(10), 100) for n, f in peers.available().items()}
+    for library, made in others.items():
+        for kind in ("EKF", "UKF"):
+            actions[f"{kind} {library}"] = made[kind]
+    found = in_turn(actions, repeats)
+    T = batch.azimuth.shape[1]
+    how = f"median of {repeats}, in turn; tiles of 128 replications, {T} steps, 4 anchors; one core"
+    for name, (fast, _) in laps.items():
+        us = 1e6 * found[name] / fast.steps
+        slow_us = 1e6 * found[name + " numpy"] / fast.steps
+        yield Row("Kalman step", name, us, "us", "", how)
+        yield Row("Kalman step in NumPy", name, slow_us, "us", "", how)
+    for library in others:
+        for kind, least in (("EKF", 5000), ("UKF", 1500)):
+            us = 1e6 * found[f"{kind} {library}"] / T
+            ours = 1e6 * found[f"{kind.lower()}_ae_nominal"] / laps[f"{kind.lower()}_ae_nominal"][0].steps
+            same = "one lap of one replication, all anchors in one update; the estimates agree with ours"
+            target = f"at least {least}" if "Stone" in library else ""
+            yield Row(f"Kalman step in {library}", kind, us, "us", "", same)
+            yield Row(f"against {library}", f"{kind}, AE-nominal", us / ours, "x", target, "from the two medians")
+
+
+def particle(repeats: int) -> Iterator[Row]:
+    """Nanoseconds per particle and step of each particle filter, and of the same work elsewhere."""
+    names = [f"pf_{m}" for m in MODELS]
+    cells = [_cell(names, f"noise={noise}") for noise in ("ae_flip", "vmf")]
+    cell = cells[1]
+    actions: dict[str, Callable[[], Any]] = {}
+    laps = {name: (_Laps(cell, name, tiles=8), _Laps(cell, name, "numpy")) for name in names}
+    for name, (fast, slow) in laps.items():
+        actions[name], actions[name + " numpy"] = fast, slow
+    for engine in ("auto", "numpy"):
+        actions["eight " + engine] = _eight(cells, engine)
+    _, batch = montecarlo.Draws(cell.scenario, cell.noise, cell.seed).tile(0, 1)
+    others = {n: f(cell.scenario, batch, math.radians(10), PARTICLES)["PF"] for n, f in peers.available().items()}
+    found = in_turn({**actions, **others}, repeats)
+    each = 1e9 / (batch.azimuth.shape[1] * PARTICLES)
+    how = f"median of {repeats}, in turn; 10 000 particles, 64 steps, 4 anchors, random numbers and resampling included"
+    for name in names:
+        yield Row("particle-step", name, each * found[name], "ns", "", how)
+        yield Row("particle-step in NumPy", name, each * found[name + " numpy"], "ns", "", how)
+    fast_ns, slow_ns = (each * found["eight " + engine] / 8 for engine in ("auto", "numpy"))
+    shared = "both data models x four filters, one replication of each, simulation and metrics included"
+    yield Row("particle-step, eight filters", "mean", fast_ns, "ns", "", shared)
+    yield Row("against NumPy, eight filters", "mean", slow_ns / fast_ns, "x", "at least 30", shared)
+    for library in others:
+        ns = each * found[library]
+        target = "at least 100" if "Stone" in library else ""
+        yield Row(f"particle-step in {library}", "AE-nominal", ns, "ns", "", how)
+        yield Row(f"against {library}", "PF, AE-nominal", ns / (each * found["pf_ae_nominal"]), "x", target, how)
+
+
+def _eight(cells: list[Cell], engine: str) -> Callable[[], None]:
+    numbers = iter(range(10**6))
+    given = [(c, {n: replace(e, engine=engine) for n, e in c.estimators.items()}) for c in cells]
+
+    def once() -> None:
+        r = next(numbers)
+        for cell, estimators in given:
+            montecarlo.run_block(cell.scenario, cell.noise, estimators, cell.seed, r, r + 1)
+
+    return once
+
+
+def generality(repeats: int) -> Iterator[Row]:
+    """What any number of anchors and particles costs against a likelihood written for four anchors."""
+    from aoabench.filters import kernels
+
+    K = kernels.load("particle_kernels")
+    if K is None:
+        return
+    four = _four_anchors(K)
+    rng = np.random.default_rng(0)
+    M = -(-PARTICLES // K.TILE) * K.TILE
+    x, y, z = rng.standard_normal((3, M)).astype(np.float32)
+    terms, out = rng.random((4, K.TERMS), dtype=np.float32), np.empty(M, dtype=np.float32)
+    table = np.ones(362, dtype=np.float32)
+    found = in_turn(
+        {
+            "general": lambda: [K.loglik(K.UNIT_VECTOR, x, y, z, terms, table, out) for _ in range(100)],
+            "four": lambda: [four(x, y, z, terms, out) for _ in range(100)],
+        },
+        repeats,
+    )
+    how = "log likelihood (VMF) of 10 000 particles, the anchors' loop unrolled by hand against any number; in turn"
+    ns = {name: 1e9 * seconds / 100 / PARTICLES for name, seconds in found.items()}
+    yield Row("cost of generality", "likelihood, 4 anchors", ns["general"] - ns["four"], "ns", "", how)
+
+
+def _four_anchors(K: Any) -> Callable[..., None]:
+    from numba import njit
+
+    one, tiny, tile, options = K.ONE, K.TINY, K.TILE, K.OPTIONS
+
+    @njit(forceinline=True, **options)
+    def term(x, y, z, t):  # type: ignore[no-untyped-def]
+        px, py, pz = x - t[0], y - t[1], z - t[2]
+        inverse = one / math.sqrt(px * px + py * py + pz * pz + tiny)
+        ex, ey, ez = t[3] - px * inverse, t[4] - py * inverse, t[5] - pz * inverse
+        return t[6] * (ex * ex + ey * ey + ez * ez)
+
+    @njit(**options)
+    def four(x, y, z, terms, out):  # type: ignore[no-untyped-def]
+        a, b, c, d = terms[0], terms[1], terms[2], terms[3]
+        a, b = (a[0], a[1], a[2], a[3], a[4], a[5], a[6]), (b[0], b[1], b[2], b[3], b[4], b[5], b[6])
+        c, d = (c[0], c[1], c[2], c[3], c[4], c[5], c[6]), (d[0], d[1], d[2], d[3], d[4], d[5], d[6])
+        for o in range(0, len(x), tile):
+            xs, ys, zs, os = x[o : o + tile], y[o : o + tile], z[o : o + tile], out[o : o + tile]
+            for i in range(tile):
+                p, q, r = xs[i], ys[i], zs[i]
+                os[i] = -(term(p, q, r, a) + term(p, q, r, b) + term(p, q, r, c) + term(p, q, r, d))
+
+    return four
+
+
+def precision(repeats: int) -> Iterator[Row]:
+    """What single precision does to the RMSE, in units of its Monte Carlo standard error at 1000 replications."""
+    reps = 1000
+    how = f"the kernel against double precision on the same draws; {reps} replications, 10 000 particles, noise vmf"
+    with tempfile.TemporaryDirectory() as folder:
+        for model in MODELS:
+            name = f"pf_{model}"
+            cells = [
+                _cell([name], "noise=vmf", f"reps={reps}", f"runner.out={folder}", f"filter.{name}.engine={engine}")
+                for engine in ("auto", "double")
+            ]
+            runner.run(cells, progress=False)
+            frame = tables.load(Path(folder))
+            rmse = [
+                frame[(frame["cell"] == c.id) & (frame["estimator"] == name)].set_index("replication")["rmse_3d_m"]
+                for c in cells
+            ]
+            difference, unit = rmse[0] - rmse[1], rmse[1].std() / math.sqrt(reps)
+            noise = difference.std() / math.sqrt(reps) / unit
+            yield Row(
+                "single precision", name, abs(difference.mean()) / unit, "s.e.", "at most 0.1", f"{how}; +- {noise:.2f}"
+            )
+
+
+def start(repeats: int) -> Iterator[Row]:
+    """Seconds to import the package, to answer `aoabench list`, and of runs of one replication."""
+    how = f"median wall time of {repeats} fresh processes"
+    command = [sys.executable, "-m", "aoabench.cli"]
+    yield Row("start", "import aoabench", _command([sys.executable, "-c", "import aoabench"], repeats), "s", "", how)
+    yield Row("start", "aoabench list", _command([*command, "list"], repeats), "s", "at most 1.5", how)
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["run", "filter=[pf_vmf,ekf_vmf]", "reps=1", "runner.n_jobs=1"]
+        cached = {"NUMBA_CACHE_DIR": f"{folder}/cache"}
+        compile_ = _command([*command, *words, f"runner.out={folder}/first"], 1, cached)
+        yield Row("start", "run, kernels not yet compiled", compile_, "s", "", "one process, an empty cache of kernels")
+        fresh = [_command([*command, *words, f"runner.out={folder}/{i}"], 1, cached) for i in range(repeats)]
+        yield Row("start", "run reps=1", statistics.median(fresh), "s", "at most 4", how + ", kernels cached")
+        again = _command([*command, *words, f"runner.out={folder}/0"], repeats, cached)
+        yield Row("start", "run reps=1, all reused", again, "s", "at most 4", how)
+
+
+def scaling(repeats: int) -> Iterator[Row]:
     """One worker process against two on the same work, in turn."""
-    from aoabench import runner
-
-    names = ",".join(KALMAN)
+    names = ",".join(f"pf_{m}" for m in MODELS)
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         for i in range(3):
             seconds = []
             for n_jobs in (1, 2):
-                words = [
-                    f"runner.n_jobs={n_jobs}",
-                    "runner.backend=loky",
-                    f"runner.out={folder}/{i}-{n_jobs}",
-                    "reps=2048",
-                ]
-                cells = compose_cells([f"filter=[{names}]", *words])
+                cells = compose_cells(
+                    [f"filter=[{names}]", f"runner.n_jobs={n_jobs}", f"runner.out={folder}/{i}-{n_jobs}", "reps=1000"]
+                )
                 begin = time.perf_counter()
                 runner.run(cells, progress=False)
                 seconds.append(time.perf_counter() - begin)
             ratios.append(seconds[0] / seconds[1])
-    how = "median of 3 pairs: 2048 replications x 8 filters, tables and timing pass included"
-    return [("two workers against one", "8 Kalman filters", statistics.median(ratios), "x", "at least 1.7", how)]
+    how = "median of 3 pairs: 1000 replications x 4 particle filters, start of the workers, tables and timing included"
+    yield Row("two workers against one", "particle filters", statistics.median(ratios), "x", "at least 1.7", how)
 
 
-def memory(repeats: int) -> list[tuple[str, str, float, str, str, str]]:
-    """Peak memory of the whole run against the number of replications."""
-    rows = []
+def memory(repeats: int) -> Iterator[Row]:
+    """Peak memory of a whole run against the number of replications (Linux only)."""
+    if not Path("/proc/self/status").exists():
+        return
+    runs = [("ekf_vmf", 1_000), ("ekf_vmf", 10_000), ("pf_vmf", 100), ("pf_vmf", 1_000)]
     with tempfile.TemporaryDirectory() as folder:
-        for reps in (1_000, 10_000):
-            words = ["run", "filter=[ekf_vmf]", f"reps={reps}", "runner.n_jobs=1", f"runner.out={folder}/{reps}"]
+        for name, reps in runs:
+            words = ["run", f"filter=[{name}]", f"reps={reps}", "runner.n_jobs=1", f"runner.out={folder}/{name}{reps}"]
             script = (
-                "import resource, sys\nfrom aoabench.cli import dispatch\n"
-                f"dispatch({words!r})\nprint('PEAK', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+                f"from aoabench.cli import dispatch\ndispatch({words!r})\n"
+                "print('PEAK', *(line.split()[1] for line in open('/proc/self/status') if 'VmHWM' in line))"
             )
             done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-            peak = int(done.stdout.rsplit("PEAK", 1)[1]) / (1 if sys.platform == "darwin" else 1024) / 1024
-            how = f"peak resident memory of one process, {resource.getpagesize()} byte pages"
-            rows.append(("peak memory", f"{reps} replications", peak, "GiB", "at most 1", how))
-    return rows
+            peak = int(done.stdout.rsplit("PEAK", 1)[1]) / 1024
+            how = "peak resident memory of the process that does all the work"
+            yield Row("peak memory", f"{name}, {reps} replications", peak, "MiB", "at most 1024", how)
 
 
-def _seconds(action: Callable[[], Any], repeats: int) -> list[float]:
-    found = []
+def studies(repeats: int) -> Iterator[Row]:
+    """How long the committed tables took, by their own provenance."""
+    for name in study.names():
+        s = study.load(name)
+        origins = [store.read_provenance(study.table_path(Path("results"), s, item)) for item in s.items]
+        scales = {o.get("scale") for o in origins}
+        total = sum(o.get("seconds", math.nan) for o in origins)
+        how = "seconds of each item, as noted in the committed tables; two cores"
+        yield Row(f"reproduce {name}", f"scale {'/'.join(map(str, scales))}", total / 60, "min", "", how)
+        for item, origin in zip(s.items, origins):
+            if item.name == "fig4":
+                least = "at most 6" if origin.get("scale") == "paper" else ""
+                yield Row(f"reproduce {name}", "fig4", origin["seconds"] / 60, "min", least, how)
+
+
+def _command(words: list[str], repeats: int, environment: dict[str, str] | None = None) -> float:
+    import os
+
+    given = {**os.environ, **(environment or {})}
+    seconds = []
     for _ in range(repeats):
         begin = time.perf_counter()
-        action()
-        found.append(time.perf_counter() - begin)
-    return found
+        subprocess.run(words, check=True, capture_output=True, env=given)
+        seconds.append(time.perf_counter() - begin)
+    return statistics.median(seconds)
 
 
-def _command(words: list[str], repeats: int) -> float:
-    return statistics.median(_seconds(lambda: subprocess.run(words, check=True, capture_output=True), repeats))
-
-
-if __name__ == "__main__":
-    main()
+ALL = (kalman, particle, generality, start, scaling, memory, studies, precision)

@@ -115,7 +115,7 @@ def copy_pair(typingctx: Any, source: Any, i: Any, target: Any, k: Any) -> Any:
 
 ZERO, HALF, ONE, TWO = f4(0.0), f4(0.5), f4(1.0), f4(2.0)
 LOWEST = f4(-40.0)  # smaller weights would not be seen beside the largest, 1, and their squares would be denormal
-PI, LOG2, LOG2E = f4(math.pi), f4(math.log(2.0)), f4(1.0 / math.log(2.0))
+HALF_PI, PI, LOG2, LOG2E = f4(math.pi / 2), f4(math.pi), f4(math.log(2.0)), f4(1.0 / math.log(2.0))
 TINY = f4(1e-30)  # m^2 or m: a particle on its anchor, or on its pole
 
 _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7 = (
@@ -227,16 +227,21 @@ def turn(step, replication, k0, k1):
 
 
 @inlined
+def first_quadrant(y, x):
+    """atan2(y, x) of y, x >= 0."""
+    a = arctan(min(y, x) / (max(y, x) + TINY))
+    return HALF_PI - a if y > x else a
+
+
+@inlined
 def angles(x, y, z, t):
     """|azimuth - measured| and elevation, in rad, of one particle in the turned frame of the anchor with terms t."""
     px, py, pz = x - t[0], y - t[1], z - t[2]
     u = t[3] * px + t[4] * py + t[5] * pz
     v = t[6] * px + t[7] * py + t[8] * pz
     w = t[9] * px + t[10] * py + t[11] * pz
-    rho2 = u * u + v * v
-    rho = math.sqrt(rho2)
-    a = TWO * arctan(abs(v) / (rho + abs(u) + TINY))
-    e = TWO * arctan(abs(w) / (math.sqrt(rho2 + w * w) + rho + TINY))
+    a = first_quadrant(abs(v), abs(u))
+    e = first_quadrant(abs(w), math.sqrt(u * u + v * v))
     return a if u >= ZERO else PI - a, math.copysign(e, w)
 
 

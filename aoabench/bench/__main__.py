@@ -1,0 +1,98 @@
+"""`make bench`: speed and memory to results/bench (a table and a figure) and into the README."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from aoabench import store
+from aoabench.bench import measures
+
+
+def main() -> None:
+    """Measure all or some, merge with what was measured before, and show it."""
+    import pandas as pd
+
+    names = [part.__name__ for part in measures.ALL]
+    parser = argparse.ArgumentParser(prog="python -m aoabench.bench", description=measures.__doc__)
+    parser.add_argument("--results", default="results", type=Path)
+    parser.add_argument("--repeats", default=7, type=int)
+    parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="PART", help=", ".join(names))
+    given = parser.parse_args()
+    path = given.results / "bench" / "bench.parquet"
+    found: list[dict[str, Any]] = []
+    for part in measures.ALL:
+        if part.__name__ in given.only:
+            for row in part(given.repeats):
+                found.append({"part": part.__name__, **asdict(row)})
+                print(f"{row.what:34s} {row.detail:32s} {row.value:10.3f} {row.unit:5s} {row.target}", flush=True)
+    frame = pd.DataFrame(found)
+    if path.exists() and set(given.only) < set(names):
+        before = pd.read_parquet(path)
+        frame = pd.concat([before[~before["part"].isin(given.only)], frame]) if "part" in before else frame
+        frame = frame.sort_values("part", key=lambda c: c.map(names.index), kind="stable", ignore_index=True)
+    store.write_frame(path, frame)
+    draw(frame, path.with_suffix(".png"))
+    readme = Path("README.md")
+    if readme.exists() and given.results == Path("results"):
+        write_into(readme, markdown(frame))
+    print(f"written to {path}")
+    sys.exit(0)
+
+
+def draw(frame: Any, path: Path) -> None:
+    """Two panels on logarithmic axes: particle-steps and Kalman steps of each engine."""
+    from aoabench.report import plots
+
+    def make() -> Any:
+        figure, axes = plots.new(plots.PAGE, 2.6, cols=2)
+        panels = [("particle-step", "ns per particle and step"), ("Kalman step", "us per replication and step")]
+        for axis, (what, label) in zip(axes, panels):
+            part = frame[frame["what"].str.fullmatch(rf"{what}( in .*)?")]
+            engines = list(dict.fromkeys(part["what"]))[::-1]
+            for height, engine in enumerate(engines):
+                rows = part[part["what"] == engine]
+                for _, row in rows.iterrows():
+                    key = re.sub(r"^(pf|ekf|ukf)_", "", row["detail"])
+                    colour = plots.COLOURS.get(key, plots.COLOURS["ae_nominal"])
+                    marker = "s" if row["detail"].lower().startswith("ukf") else "o"
+                    axis.plot(row["value"], height, marker, color=colour, markersize=5, markeredgecolor="white")
+            axis.set_yticks(
+                range(len(engines)), [e.replace(what, "").removeprefix(" in ") or "aoabench" for e in engines]
+            )
+            axis.set(xscale="log", xlabel=label, ylim=(-0.5, len(engines) - 0.5))
+            axis.grid(axis="x", which="major", linewidth=0.4)
+        for key, label in plots.LABELS.items():
+            axes[0].plot([], [], "o", color=plots.COLOURS[key], label=label)
+        axes[0].legend(loc="upper right", fontsize=6)
+        axes[1].plot([], [], "o", color=plots.GREY, label="EKF")
+        axes[1].plot([], [], "s", color=plots.GREY, label="UKF")
+        axes[1].legend(loc="upper right", fontsize=6)
+        return figure
+
+    plots.save(make, path)
+
+
+def markdown(frame: Any) -> str:
+    """The table for the README."""
+    lines = ["| what | | measured | target | how |", "|---|---|---|---|---|"]
+    for _, row in frame.iterrows():
+        lines.append(
+            f"| {row['what']} | {row['detail']} | {row['value']:.3g} {row['unit']} | {row['target']} | {row['how']} |"
+        )
+    return "\n".join(lines)
+
+
+def write_into(readme: Path, table: str) -> None:
+    """Replace what lies between the two marks."""
+    text = readme.read_text(encoding="utf-8")
+    new = re.sub(r"(?s)(<!-- bench -->\n).*?(\n<!-- /bench -->)", lambda m: m[1] + table + m[2], text)
+    readme.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
