@@ -16,7 +16,7 @@ help:
 	@echo "make report       draw the figures and the page again from the committed tables"
 	@echo "make test         the whole test suite"
 	@echo "make lint         ruff and mypy"
-	@echo "make bench        speed and memory, written to results/bench"
+	@echo "make bench        speed and memory, against other libraries too, to results/bench and the README (15 minutes)"
 	@echo "make notebooks    execute results/notebooks in place"
 	@echo "make lock         resolve requirements.lock again (needs uv)"
 	@echo "make clean        remove the environment and the raw replications"
@@ -43,8 +43,13 @@ test: $(READY)
 lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
 
-bench: $(READY)
+bench: $(VENV)/.bench
 	@$(BIN)/python -m aoabench.bench
+
+$(VENV)/.bench: $(READY)
+	@echo "adding the libraries that the bench compares with ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation -e '.[bench]'
+	@touch $@
 
 notebooks: $(READY)
 	@for f in results/notebooks/*.ipynb; do $(BIN)/jupyter execute --inplace "$$f" || exit 1; done

@@ -186,7 +186,8 @@ class Noise(Protocol):
 class Measurement(Protocol):
     """What a filter believes of the measurements; written for one point, broadcasting over leading axes.
 
-    x (R, ..., n); m = B d components in anchor order. `quality` (R, m) are the nominal variances of one step.
+    x (R, ..., n); m = B d components in anchor order. `quality` (R, m) are the nominal variances of one step. A class
+    whose likelihood and derivatives are one of the compiled kernels' names it in its own attribute `kernel`.
     """
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:

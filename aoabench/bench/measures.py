@@ -6,6 +6,8 @@ What is compared is run in turn, and medians are taken, so that a load of the ma
 from __future__ import annotations
 
 import math
+import os
+import signal
 import statistics
 import subprocess
 import sys
@@ -126,8 +128,8 @@ def particle(repeats: int) -> Iterator[Row]:
     for name in names:
         yield Row("particle-step", name, each * found[name], "ns", "", how)
         yield Row("particle-step in NumPy", name, each * found[name + " numpy"], "ns", "", how)
-    fast_ns, slow_ns = (each * found["eight " + engine] / 8 for engine in ("auto", "numpy"))
-    shared = "both data models x four filters, one replication of each, simulation and metrics included"
+    fast_ns, slow_ns = (each * found["eight " + engine] / 32 for engine in ("auto", "numpy"))
+    shared = "both data models x four filters, 4 replications of each, simulation and metrics included"
     yield Row("particle-step, eight filters", "mean", fast_ns, "ns", "", shared)
     yield Row("against NumPy, eight filters", "mean", slow_ns / fast_ns, "x", "at least 30", shared)
     for library in others:
@@ -142,9 +144,9 @@ def _eight(cells: list[Cell], engine: str) -> Callable[[], None]:
     given = [(c, {n: replace(e, engine=engine) for n, e in c.estimators.items()}) for c in cells]
 
     def once() -> None:
-        r = next(numbers)
+        r = 4 * next(numbers)
         for cell, estimators in given:
-            montecarlo.run_block(cell.scenario, cell.noise, estimators, cell.seed, r, r + 1)
+            montecarlo.run_block(cell.scenario, cell.noise, estimators, cell.seed, r, r + 4)
 
     return once
 
@@ -241,6 +243,26 @@ def start(repeats: int) -> Iterator[Row]:
         yield Row("start", "run reps=1, all reused", again, "s", "at most 4", how)
 
 
+def interrupt(repeats: int) -> Iterator[Row]:
+    """Seconds from Ctrl-C to the end of a run of particle filters with two workers."""
+    seconds = []
+    with tempfile.TemporaryDirectory() as folder:
+        for i in range(3):
+            words = ["run", "filter=[pf_vmf]", "reps=100000", "runner.n_jobs=2", f"runner.out={folder}/{i}"]
+            command = [sys.executable, "-m", "aoabench.cli", *words]
+            run = subprocess.Popen(
+                command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            )
+            while not list(Path(folder, str(i)).glob("parts/*/*.json")) and run.poll() is None:
+                time.sleep(0.05)
+            begin = time.perf_counter()
+            os.killpg(run.pid, signal.SIGINT)
+            run.wait()
+            seconds.append(time.perf_counter() - begin)
+    how = "from the signal to the end of the command; median of 3"
+    yield Row("Ctrl-C", "two workers", statistics.median(seconds), "s", "at most 2", how)
+
+
 def scaling(repeats: int) -> Iterator[Row]:
     """One worker process against two on the same work, in turn."""
     names = ",".join(f"pf_{m}" for m in MODELS)
@@ -250,13 +272,13 @@ def scaling(repeats: int) -> Iterator[Row]:
             seconds = []
             for n_jobs in (1, 2):
                 cells = compose_cells(
-                    [f"filter=[{names}]", f"runner.n_jobs={n_jobs}", f"runner.out={folder}/{i}-{n_jobs}", "reps=1000"]
+                    [f"filter=[{names}]", f"runner.n_jobs={n_jobs}", f"runner.out={folder}/{i}-{n_jobs}", "reps=3000"]
                 )
                 begin = time.perf_counter()
                 runner.run(cells, progress=False)
                 seconds.append(time.perf_counter() - begin)
             ratios.append(seconds[0] / seconds[1])
-    how = "median of 3 pairs: 1000 replications x 4 particle filters, start of the workers, tables and timing included"
+    how = "median of 3 pairs: 3000 replications x 4 particle filters, start of the workers, tables and timing included"
     yield Row("two workers against one", "particle filters", statistics.median(ratios), "x", "at least 1.7", how)
 
 
@@ -294,8 +316,6 @@ def studies(repeats: int) -> Iterator[Row]:
 
 
 def _command(words: list[str], repeats: int, environment: dict[str, str] | None = None) -> float:
-    import os
-
     given = {**os.environ, **(environment or {})}
     seconds = []
     for _ in range(repeats):
@@ -305,4 +325,4 @@ def _command(words: list[str], repeats: int, environment: dict[str, str] | None 
     return statistics.median(seconds)
 
 
-ALL = (kalman, particle, generality, start, scaling, memory, studies, precision)
+ALL = (kalman, particle, generality, start, interrupt, scaling, memory, studies, precision)
