@@ -50,21 +50,23 @@ def draw(frame: Any, path: Path) -> None:
 
     def make() -> Any:
         figure, axes = plots.new(plots.PAGE, 2.6, cols=2)
-        panels = [("particle-step", "ns per particle and step"), ("Kalman step", "us per replication and step")]
+        panels = [("particle-step", "ns per particle and step"), ("Kalman step", "µs per replication and step")]
+        models = list(plots.LABELS)
         for axis, (what, label) in zip(axes, panels):
             part = frame[frame["what"].str.fullmatch(rf"{what}( in .*)?")]
             engines = list(dict.fromkeys(part["what"]))[::-1]
             for height, engine in enumerate(engines):
-                rows = part[part["what"] == engine]
-                for _, row in rows.iterrows():
+                for _, row in part[part["what"] == engine].iterrows():
                     key = re.sub(r"^(pf|ekf|ukf)_", "", row["detail"])
-                    colour = plots.COLOURS.get(key, plots.COLOURS["ae_nominal"])
+                    i = models.index(key) if key in models else models.index("ae_nominal")
                     marker = "s" if row["detail"].lower().startswith("ukf") else "o"
-                    axis.plot(row["value"], height, marker, color=colour, markersize=5, markeredgecolor="white")
-            axis.set_yticks(
-                range(len(engines)), [e.replace(what, "").removeprefix(" in ") or "aoabench" for e in engines]
-            )
+                    axis.plot(
+                        row["value"], height + 0.13 * (1.5 - i), marker, color=plots.COLOURS[models[i]], markersize=4
+                    )
+            names = [e.replace(what, "").removeprefix(" in ").replace("NumPy", "aoabench, NumPy") for e in engines]
+            axis.set_yticks(range(len(engines)), [name or "aoabench" for name in names])
             axis.set(xscale="log", xlabel=label, ylim=(-0.5, len(engines) - 0.5))
+            axis.set_xlim(left=0.5 * part["value"].min())
             axis.grid(axis="x", which="major", linewidth=0.4)
         for key, label in plots.LABELS.items():
             axes[0].plot([], [], "o", color=plots.COLOURS[key], label=label)
