@@ -29,8 +29,12 @@ def tile_of(estimator: Any) -> int:
 
 
 def simulate(scenario: Any, noise: Any, seed: int, replication: int) -> tuple[np.ndarray, Measurements, Any]:
-    """Truth (T, n), measurements and prior (mean, covariance) of one replication."""
-    truth = scenario.truth(generator(seed, scenario.name, replication, TRUTH))
+    """Truth (T, n), measurements and prior (mean, covariance) of one replication.
+
+    A scenario with `same_truth` has one truth for all replications.
+    """
+    once = getattr(scenario, "same_truth", False)
+    truth = scenario.truth(generator(seed, scenario.name, 0 if once else replication, TRUTH))
     measured = noise.sample(generator(seed, scenario.name, replication, MEASUREMENT), scenario, truth)
     prior = scenario.prior(generator(seed, scenario.name, replication, ESTIMATOR, PRIOR), truth)
     return truth, measured, prior

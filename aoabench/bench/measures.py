@@ -153,9 +153,9 @@ def _eight(cells: list[Cell], engine: str) -> Callable[[], None]:
 
 def generality(repeats: int) -> Iterator[Row]:
     """What any number of anchors and particles costs against a likelihood written for four anchors."""
-    from aoabench.filters import kernels
+    from aoabench import kernels
 
-    K = kernels.load("particle_kernels")
+    K = kernels.load("filters.particle_kernels")
     if K is None:
         return
     four = _four_anchors(K)

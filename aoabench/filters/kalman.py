@@ -13,14 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from aoabench.filters import kernels
+from aoabench import kernels
+from aoabench.filters.kernels import kind_of, variances
 from aoabench.geometry import Array
 from aoabench.streams import Streams
 from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_choice, check_number
+
+if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
+    from aoabench.filters import kalman_kernels  # noqa: F401
+
+KERNELS = "filters.kalman_kernels"
 
 
 @dataclass(frozen=True)
@@ -36,12 +42,12 @@ class _Kalman:
     tile: ClassVar[int] = 128
 
     def __post_init__(self) -> None:
-        check_choice("engine", self.engine, kernels.ENGINES)
+        kernels.check_engine(self.engine)
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
         if self.kernel() is not None:
-            kernels.prepare("kalman_kernels", say)
+            kernels.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
@@ -50,14 +56,14 @@ class _Kalman:
         F, Q = scenario.motion.matrices(scenario.dt)
         Y, quality = self.measurement.observe(batch)
         kernel = self.kernel()
-        compiled = None if kernel is None else kernels.load("kalman_kernels")
+        compiled = None if kernel is None else kernels.load(KERNELS)
         if kernel is None or compiled is None:
             position, covariance = self._recursion(batch, batch.prior_cov, F, Q, Y, quality)
         else:
             position, covariance = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
             function, kind, *more = kernel
             model, anchors = (batch.prior_mean, batch.prior_cov, F, Q), batch.anchors
-            arrays = (*model, Y, quality, anchors.position, anchors.rotation, kernels.variances(self.measurement))
+            arrays = (*model, Y, quality, anchors.position, anchors.rotation, variances(self.measurement))
             given = (np.ascontiguousarray(a, dtype=float) for a in arrays)
             getattr(compiled, function)(kind, *given, position, covariance, *more)
         finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
@@ -92,7 +98,7 @@ class EKF(_Kalman):
     """Extended Kalman filter: h linearised at the predicted mean [Nurminen 2018, Alg. 2]."""
 
     def kernel(self) -> tuple[Any, ...] | None:
-        kind = kernels.kind_of(self.measurement, self.engine)
+        kind = kind_of(self.measurement, self.engine)
         return None if kind is None or type(self) is not EKF else ("ekf", kind)
 
     def update(self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors) -> tuple[Array, Array]:
@@ -124,7 +130,7 @@ class UKF(_Kalman):
         check_choice("form", self.form, ("averaged", "centre", "augmented"))
 
     def kernel(self) -> tuple[Any, ...] | None:
-        kind = kernels.kind_of(self.measurement, self.engine)
+        kind = kind_of(self.measurement, self.engine)
         if kind is None or type(self) is not UKF or self.form == "augmented":
             return None
         return "ukf", kind, float(self.lambda_), ("averaged", "centre").index(self.form)

@@ -16,15 +16,20 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from aoabench.filters import kernels
+from aoabench import kernels
+from aoabench.filters.kernels import KINDS, kind_of, variances
 from aoabench.geometry import Array
 from aoabench.streams import PARTICLES, Streams
-from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_choice, check_number
+from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_number
 
+if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
+    from aoabench.filters import particle_kernels  # noqa: F401
+
+KERNELS = "filters.particle_kernels"
 SHARED_BYTES = 2**26  # the normals of one replication are kept for the next filter if they fit into this
 
 
@@ -47,12 +52,12 @@ class ParticleFilter:
     def __post_init__(self) -> None:
         check_number("particles", self.particles, least=1, most=10_000_000, integer=True)
         check_number("resample_below", self.resample_below, least=0, most=1)
-        check_choice("engine", self.engine, (*kernels.ENGINES, "double"))
+        kernels.check_engine(self.engine, ("double",))
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
-        if kernels.kind_of(self.measurement, self.engine) is not None:
-            kernels.prepare("particle_kernels", say)
+        if kind_of(self.measurement, self.engine) is not None:
+            kernels.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Posterior means (R, T, 3) m and covariances (R, T, 3, 3) m^2.
@@ -64,8 +69,8 @@ class ParticleFilter:
             raise BadValue("filter", type(self).__name__, "a scenario with a motion model and a prior")
         Y, quality = self.measurement.observe(batch)
         F, Q = scenario.motion.matrices(scenario.dt)
-        kind = kernels.kind_of(self.measurement, self.engine) if len(F) == 3 else None
-        compiled = None if kind is None else kernels.load("particle_kernels")
+        kind = kind_of(self.measurement, self.engine) if len(F) == 3 else None
+        compiled = None if kind is None else kernels.load(KERNELS)
         means, covariances, outcomes = [], [], []
         for i in range(len(Y)):
             if kind is None or compiled is None:
@@ -83,7 +88,7 @@ class ParticleFilter:
         """Where the reference takes the draws of the tile's i-th replication from."""
         if self.engine != "double":
             return streams.estimator(i, PARTICLES)
-        compiled = kernels.load("particle_kernels")
+        compiled = kernels.load(KERNELS)
         if compiled is None:
             raise BadValue("engine", "double", "auto or numpy where numba is not installed")
         return _KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[i])
@@ -220,7 +225,7 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
     c[..., :3] = s
     known = ~np.isnan(y)
     y = np.where(known, y, 0.0)
-    if kind == kernels.KINDS.index("unit_vector"):
+    if kind == KINDS.index("unit_vector"):
         c[..., 3:6] = (y[..., None, :] @ R)[..., 0, :]
         c[..., 6] = np.where(known.all(-1), 0.5 / r[..., 0], 0.0)
         return c.astype(np.float32)
@@ -229,13 +234,13 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
     c[..., 6:9] = cosine * R[:, 1] - sine * R[:, 0]
     c[..., 9:12] = R[:, 2]
     c[..., 12] = y[..., 1]
-    c[..., 13:15] = known * (0.5 / r if kind == kernels.KINDS.index("azel") else 1.0)
+    c[..., 13:15] = known * (0.5 / r if kind == KINDS.index("azel") else 1.0)
     return c.astype(np.float32)
 
 
 def weights_table(measurement: Measurement) -> np.ndarray:
     """1 / (2 variance) of azimuth and elevation in turn, (362,) float32, at -90, -89 ... 90 degrees."""
-    return (0.5 / kernels.variances(measurement)).astype(np.float32).ravel()
+    return (0.5 / variances(measurement)).astype(np.float32).ravel()
 
 
 def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:

@@ -8,14 +8,16 @@ from aoabench.config import options
 from aoabench.montecarlo import Draws, estimate_tile, run_block, tile_of
 from aoabench.types import Outcome
 
+SNAPSHOT = {"bs_grid"}  # scenarios without motion: no filters
 ESTIMATORS = [("filter", n) for n in options("filter")] + [("estimator", n) for n in options("estimator")]
 
 
 @pytest.mark.parametrize("scenario", options("scenario"))
 @pytest.mark.parametrize("noise", options("noise"))
 def test_every_scenario_with_every_noise(scenario, noise):
-    cell = compose_cells([f"scenario={scenario}", f"noise={noise}", "filter=[ekf_vmf]"])[0]
-    rows, _ = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3)["ekf_vmf"]
+    one = "estimator=[ml_kcorr]" if scenario in SNAPSHOT else "filter=[ekf_vmf]"
+    cell = compose_cells([f"scenario={scenario}", f"noise={noise}", one])[0]
+    rows, _ = next(iter(run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3).values()))
     assert np.all(np.isfinite(rows["rmse_3d_m"]))
     truth, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 2)
     assert np.all((batch.azimuth > -np.pi) & (batch.azimuth <= np.pi))
@@ -50,7 +52,7 @@ def test_every_estimator_is_better_than_no_measurement_at_all(group, name):
     cell = compose_cells(["scenario=square_track_upright", "noise=vmf", f"{group}=[{name}]"])[0]
     reps = 64 if tile_of(cell.estimators[name]) > 1 else 8
     rows, _ = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, reps)[name]
-    assert np.median(rows["rmse_3d_m"]) < 1.5
+    assert np.median(rows["rmse_3d_m"]) < (1.5 if group == "filter" else 2.5)
 
 
 @pytest.mark.parametrize("experiment", options("experiment"))

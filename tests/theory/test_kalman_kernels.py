@@ -11,6 +11,7 @@ import pytest
 
 from aoabench.filters import kernels
 from aoabench.filters.kalman import EKF, UKF
+from aoabench.kernels import load
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
@@ -18,7 +19,7 @@ from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome
 
 numba = pytest.importorskip("numba")
-K = kernels.load("kalman_kernels")
+K = load("filters.kalman_kernels")
 MODELS = [UnitVector(30.0), AzEl(12.0), AzElAdaptive(12.0, noise=FlippedAngles(12.0))]
 
 

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aoabench import montecarlo
+from aoabench import montecarlo, store
 from aoabench.composing import compose_cells
 from aoabench.directional import vmf_log_peak
 from aoabench.filters import kernels
 from aoabench.filters import particle as pf
+from aoabench.kernels import load
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
@@ -25,7 +26,7 @@ from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch
 
 numba = pytest.importorskip("numba")
-K = kernels.load("particle_kernels")
+K = load("filters.particle_kernels")
 KEY = (0xA4093822, 0x299F31D0)
 
 
@@ -393,15 +394,32 @@ def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("name", ["particle_kernels", "kalman_kernels"])
+@pytest.mark.parametrize("name", ["filters.particle_kernels", "filters.kalman_kernels", "estimators.snapshot_kernels"])
 def test_kernels_use_only_their_own_file(name):
     """The cache on disk does not see changes in other files of ours; and the models' numbers are the same in all."""
-    module = kernels.load(name)
+    module = load(name)
     tree = ast.parse(Path(module.__file__).read_text())
     imported = {n for node in ast.walk(tree) if isinstance(node, ast.Import) for n in [a.name for a in node.names]}
     imported |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert not any(str(n).startswith("aoabench") for n in imported)
-    assert [getattr(module, k.upper()) for k in kernels.KINDS] == [0, 1, 2]
+    if name.startswith("filters"):
+        assert [getattr(module, k.upper()) for k in kernels.KINDS] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("module", "kernels_"),
+    [
+        ("filters.particle", "particle_kernels.py"),
+        ("filters.kalman", "kalman_kernels.py"),
+        ("estimators.maximum_likelihood", "snapshot_kernels.py"),
+    ],
+)
+def test_results_are_keyed_on_the_kernels_source(module, kernels_, monkeypatch):
+    """They are loaded by name, so the key of stored results must be told of them."""
+    read, parsed = [], store._parsed
+    monkeypatch.setattr(store, "_parsed", lambda file, *rest: read.append(file.name) or parsed(file, *rest))
+    store.source_hash([f"aoabench.{module}"])
+    assert kernels_ in read
 
 
 LIBM = re.compile(

@@ -1,0 +1,137 @@
+"""Closed-form least squares on azimuth and elevation: each measurement is a plane through its anchor.
+
+In the anchor's frame, p = R_j (x - s_j), azimuth phi and elevation theta give [Le 2021, (10)-(19)]
+
+    (sin phi, -cos phi, 0) p = 0,        (tan theta, 0, -cos phi) p = 0          (the rows as printed)
+                                 or  (sin theta cos phi, sin theta sin phi, -cos theta) p = 0       (invariant)
+
+and x = (A^T A)^-1 A^T b. The printed second row divides by x - x_j, so that renaming x and y changes the estimate (L6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from aoabench import kernels
+from aoabench.geometry import Array
+from aoabench.streams import Streams
+from aoabench.types import Batch, Estimates, Outcome, check_choice
+
+if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
+    from aoabench.estimators import snapshot_kernels  # noqa: F401
+
+KERNELS = "estimators.snapshot_kernels"
+ROWS = ("printed", "invariant")
+SINGULAR = 1e-12  # a pivot that lost more than this of its diagonal element
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """`rows`: the elevation's equations, `printed` or `invariant`."""
+
+    rows: str = "printed"
+    engine: str = "auto"
+    tile: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        check_choice("rows", self.rows, ROWS)
+        kernels.check_engine(self.engine)
+
+    def prepare(self, say: Callable[[str], None]) -> None:
+        """Compile what is needed, before others work in parallel."""
+        if self.engine == "auto":
+            kernels.prepare(KERNELS, say)
+
+    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+        """One position per fix; `failed` where the equations do not determine one."""
+        compiled = kernels.load(KERNELS) if self.engine == "auto" else None
+        if compiled is None:
+            position = planes(batch, self.rows)
+        else:
+            position, _, _ = by_kernel(compiled, batch, self.rows)
+        outcome = np.where(np.isfinite(position).all(-1), Outcome.OK, Outcome.FAILED).astype(np.int8)
+        return Estimates(position, None, None, outcome)
+
+
+def by_kernel(
+    compiled: ModuleType,
+    batch: Batch,
+    rows: str,
+    azimuth: int = 0,
+    printed: int = 0,
+    tolerance: float = 0.0,
+    updates: int = 0,
+) -> tuple[Array, np.ndarray, np.ndarray]:
+    """Positions (R, T, 3) m, outcomes and numbers of updates (R, T); least squares alone where `updates` is 0."""
+    R, T, B = batch.azimuth.shape
+    x, outcome, count = np.empty((R, T, 3)), np.empty((R, T), dtype=np.int8), np.empty((R, T))
+    phi, theta, wa, we = (padded(a, compiled.LANES) for a in measured(batch))
+    options = (azimuth, printed, ROWS.index(rows), tolerance, updates)
+    for i in range(R):
+        anchors = batch.anchors.of(i)
+        centre = anchors.position[0].mean(axis=0)
+        s = padded((anchors.position[0] - centre).T, compiled.LANES)
+        rotation = padded(np.moveaxis(anchors.rotation[0], 0, -1), compiled.LANES)
+        compiled.gauss_newton(*options, phi[i], theta[i], wa[i], we[i], s, rotation, x[i], outcome[i], count[i])
+        x[i] += centre
+    return x, outcome, count
+
+
+def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
+    """Azimuths, elevations (R, T, B) rad and 1 / variance of each; 0 and 0 where not measured."""
+    angles = []
+    weights = []
+    for y, sigma in ((batch.azimuth, batch.azimuth_sigma), (batch.elevation, batch.elevation_sigma)):
+        w = np.ones_like(y) if sigma is None else 1.0 / np.square(sigma)
+        known = np.isfinite(y) & np.isfinite(w) & (w > 0)
+        angles.append(np.where(known, y, 0.0))
+        weights.append(np.where(known, w, 0.0))
+    return angles[0], angles[1], weights[0], weights[1]
+
+
+def padded(a: Array, lanes: int) -> Array:
+    """The array with its last axis filled up by zeros to a multiple of `lanes`."""
+    missing = -a.shape[-1] % lanes
+    return np.ascontiguousarray(np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, missing)]) if missing else a)
+
+
+def planes(batch: Batch, rows: str = "printed") -> Array:
+    """Least-squares positions (R, T, 3) m, NaN where A^T A is singular; what is not measured gives no row."""
+    phi, theta = batch.azimuth, batch.elevation
+    zero = np.zeros_like(phi)
+    s, c = np.sin(phi), np.cos(phi)
+    first = np.stack([s, -c, zero], axis=-1)
+    if rows == "printed":
+        second = np.stack([np.tan(theta), zero, -c], axis=-1)
+    else:
+        second = np.stack([np.sin(theta) * c, np.sin(theta) * s, -np.cos(theta)], axis=-1)
+    a = np.stack([first, second], axis=-2)  # (R, T, B, 2, 3)
+    missing = ~np.isfinite(a).all(axis=-1, keepdims=True)
+    a = np.where(missing, 0.0, a) @ batch.anchors.rotation[:, None]
+    centre = batch.anchors.position.mean(axis=1, keepdims=True)
+    b = (a @ (batch.anchors.position - centre)[:, None, ..., None])[..., 0]  # (R, T, B, 2)
+    A, g = np.einsum("rtbki,rtbkj->rtij", a, a), np.einsum("rtbki,rtbk->rti", a, b)
+    return solve(A, g) + centre
+
+
+def solve(A: Array, g: Array) -> Array:
+    """A^-1 g for symmetric A (..., 3, 3) and g (..., 3), by Cholesky; NaN where a pivot vanishes."""
+    d0 = A[..., 0, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        l10, l20 = A[..., 1, 0] / d0, A[..., 2, 0] / d0
+        d1 = A[..., 1, 1] - l10 * A[..., 1, 0]
+        e = A[..., 2, 1] - l20 * A[..., 1, 0]
+        l21 = e / d1
+        d2 = A[..., 2, 2] - l20 * A[..., 2, 0] - l21 * e
+        y1 = g[..., 1] - l10 * g[..., 0]
+        y2 = g[..., 2] - l20 * g[..., 0] - l21 * y1
+        z = y2 / d2
+        y = y1 / d1 - l21 * z
+        x = g[..., 0] / d0 - l10 * y - l20 * z
+    sound = (d0 > 0) & (d1 > SINGULAR * A[..., 1, 1]) & (d2 > SINGULAR * A[..., 2, 2])
+    return np.where(sound[..., None], np.stack([x, y, z], axis=-1), np.nan)

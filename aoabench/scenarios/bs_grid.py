@@ -1,0 +1,78 @@
+"""A mobile somewhere in an area with columns of base stations: one fix at each of many positions [Le 2021, IV-B]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from aoabench.geometry import Array
+from aoabench.scenarios.layout import AnchorLayout
+from aoabench.types import Anchors, UserError, check_array, check_choice, check_number
+
+ZONES = ("strip", "disc", "ring", "none")
+
+
+@dataclass(frozen=True)
+class BsGrid:
+    """`positions` points, uniform over the box from 0 to `size_m`, the same in every replication.
+
+    `zone` keeps them from the base stations: `strip` wants |x - x_i| and |y - y_i| of at least `clearance_m` for each,
+    `disc` a horizontal distance of that much, `none` nothing; `ring` puts each at exactly that horizontal
+    distance from one of them, to look at the pole. There is no motion and no prior: every fix stands alone.
+    """
+
+    name: str
+    anchors: AnchorLayout
+    positions: int = 1000
+    size_m: tuple[float, float, float] = (1000.0, 1000.0, 20.0)
+    zone: str = "strip"
+    clearance_m: float = 20.0
+    dt: float = 1.0
+    motion: None = None
+    same_truth: ClassVar[bool] = True  # the positions belong to the seed, not to the replication
+
+    def __post_init__(self) -> None:
+        check_number("positions", self.positions, least=1, most=1_000_000, integer=True)
+        if not np.all(check_array("size_m", self.size_m, (3,)) > 0):
+            raise UserError(f"size_m={list(self.size_m)}: allowed: three numbers > 0")
+        check_choice("zone", self.zone, ZONES)
+        check_number("clearance_m", self.clearance_m, least=0, most=1e6)
+
+    @cached_property
+    def known_anchors(self) -> Anchors:
+        """The base stations; estimators know them exactly."""
+        return self.anchors.known
+
+    def truth(self, rng: np.random.Generator) -> Array:
+        """Positions (T, 3) m. Raises UserError where the zone leaves (almost) no room."""
+        size, stations = np.array(self.size_m), self.known_anchors.position[0]
+        if self.zone == "ring":
+            around = stations[rng.integers(len(stations), size=self.positions)]
+            turn = rng.uniform(0, 2 * np.pi, self.positions)
+            x, y = (around[:, :2] + self.clearance_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1)).T
+            return np.stack([x, y, rng.uniform(0, size[2], self.positions)], axis=-1)
+        kept, drawn = np.empty((0, 3)), 0
+        while len(kept) < self.positions:
+            points = size * rng.random((self.positions, 3))
+            kept, drawn = np.concatenate([kept, points[self.allowed(points)]]), drawn + self.positions
+            if drawn >= 1000 * self.positions:
+                raise UserError(
+                    f"scenario.clearance_m={self.clearance_m:g}: a {self.zone} of that width leaves less than a "
+                    "thousandth of the area; allowed: a smaller one"
+                )
+        return kept[: self.positions]
+
+    def allowed(self, points: Array) -> np.ndarray:
+        """Which of the points (N, 3) m the zone admits (N,)."""
+        d = np.abs(points[:, None, :2] - self.known_anchors.position[0, None, :, :2])
+        far = {"strip": d.min(axis=-1), "disc": np.hypot(d[..., 0], d[..., 1])}
+        return (
+            (far[self.zone] >= self.clearance_m).all(axis=1) if self.zone in far else np.ones(len(points), dtype=bool)
+        )
+
+    def prior(self, rng: np.random.Generator, truth: Array) -> None:
+        """There is none."""
+        return None
