@@ -24,18 +24,17 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="PART", help=", ".join(names))
     given = parser.parse_args()
     path = given.results / "bench" / "bench.parquet"
-    found: list[dict[str, Any]] = []
+    frame = pd.read_parquet(path) if path.exists() else pd.DataFrame({"part": []})
     for part in measures.ALL:
         if part.__name__ in given.only:
+            found = []
             for row in part(given.repeats):
                 found.append({"part": part.__name__, **asdict(row)})
                 print(f"{row.what:34s} {row.detail:32s} {row.value:10.3f} {row.unit:5s} {row.target}", flush=True)
-    frame = pd.DataFrame(found)
-    if path.exists() and set(given.only) < set(names):
-        before = pd.read_parquet(path)
-        frame = pd.concat([before[~before["part"].isin(given.only)], frame]) if "part" in before else frame
-        frame = frame.sort_values("part", key=lambda c: c.map(names.index), kind="stable", ignore_index=True)
-    store.write_frame(path, frame)
+            others = frame[frame["part"].isin(set(names) - {part.__name__})]
+            frame = pd.concat([others, pd.DataFrame(found)]) if len(others) else pd.DataFrame(found)
+            frame = frame.sort_values("part", key=lambda c: c.map(names.index), kind="stable", ignore_index=True)
+            store.write_frame(path, frame)  # part by part: nothing measured is lost
     draw(frame, path.with_suffix(".png"))
     readme = Path("README.md")
     if readme.exists() and given.results == Path("results"):
