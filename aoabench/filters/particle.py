@@ -39,7 +39,7 @@ class ParticleFilter:
 
     Every draw depends on the replication alone, never on the weights: all particle filters of one replication move
     their particles by the same noise. `engine`: `auto` takes the compiled kernel where there is one for the measurement
-    model and the state is the position; `numpy` never does, and has draws of its own; `double` is `numpy` with the
+    model and the state is the position; `numpy` never does, and has draws of its own; `double` is `numpy` along the
     kernel's draws, to see what single precision does.
     """
 
@@ -73,10 +73,13 @@ class ParticleFilter:
         compiled = None if kind is None else kernels.load(KERNELS)
         means, covariances, outcomes = [], [], []
         for i in range(len(Y)):
-            if kind is None or compiled is None:
-                found = self._replication(batch, i, F, Q, Y[i], quality[i], self.generator(streams, i))
+            given = batch, i, F, Q, Y[i], quality[i]
+            if self.engine == "double":
+                found = self._along_the_kernel(*given, streams)
+            elif kind is None or compiled is None:
+                found = self._replication(*given, streams.estimator(i, PARTICLES))
             else:
-                found = self._compiled(compiled, kind, batch, i, F, Q, Y[i], quality[i], streams)
+                found = self._compiled(compiled, kind, *given, streams)
             means.append(found[0])
             covariances.append(found[1])
             outcomes.append(found[2])
@@ -84,19 +87,13 @@ class ParticleFilter:
         outcome[~np.isfinite(position).all(-1)] = Outcome.FAILED
         return Estimates(position, np.stack(covariances), None, outcome)
 
-    def generator(self, streams: Streams, i: int) -> Any:
-        """Where the reference takes the draws of the tile's i-th replication from."""
-        if self.engine != "double":
-            return streams.estimator(i, PARTICLES)
-        compiled = kernels.load(KERNELS)
-        if compiled is None:
-            raise BadValue("engine", "double", "auto or numpy where numba is not installed")
-        return _KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[i])
-
     def _replication(
-        self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, rng: np.random.Generator
+        self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, rng: Any, chosen: Array | None = None
     ) -> tuple[Array, Array, np.ndarray]:
-        """One replication in NumPy: means (T, 3), covariances (T, 3, 3), outcomes (T,) from Y, quality (T, m)."""
+        """One replication in NumPy: means (T, 3), covariances (T, 3, 3), outcomes (T,) from Y, quality (T, m).
+
+        `chosen` (T, 2, N): parents that somebody else chose by weights q, -1 where nobody did; children have w / q left.
+        """
         assert batch.prior_mean is not None
         assert batch.prior_cov is not None
         (T, _), N, n = Y.shape, self.particles, len(F)
@@ -115,7 +112,11 @@ class ParticleFilter:
             position[k] = w @ x[:, :3]
             d = x[:, :3] - position[k]
             covariance[k] = d.T @ (w[:, None] * d)
-            if 1.0 / (w @ w) < self.resample_below * N:
+            if chosen is not None:
+                if chosen[k, 0, 0] >= 0:
+                    parents = chosen[k, 0].astype(np.intp)
+                    x, log_w = x[parents], np.log(w[parents] / chosen[k, 1, parents])
+            elif 1.0 / (w @ w) < self.resample_below * N:
                 x = x[systematic(w, turn)]
                 log_w = np.full(N, -np.log(N))
         return position, covariance, outcome
@@ -131,8 +132,9 @@ class ParticleFilter:
         Y: Array,
         quality: Array,
         streams: Streams,
+        chosen: Array | None = None,
     ) -> tuple[Array, Array, np.ndarray]:
-        """The same by the kernel, relative to the prior's mean."""
+        """The same by the kernel, relative to the prior's mean; `chosen` as above, to be filled in."""
         assert batch.prior_mean is not None
         assert batch.prior_cov is not None
         T, origin = len(Y), batch.prior_mean[i]
@@ -153,8 +155,28 @@ class ParticleFilter:
             weights_table(self.measurement),
             self.resample_below,
             out,
+            np.empty((0, 2, self.particles), dtype=np.float32) if chosen is None else chosen,
         )
         return out[:, :3] + origin, out[:, 3:12].reshape(T, 3, 3), np.full(T, Outcome.OK, dtype=np.int8)
+
+
+    def _along_the_kernel(
+        self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, streams: Streams
+    ) -> tuple[Array, Array, np.ndarray]:
+        """The replication in double precision with the kernel's draws and the parents that the kernel chose.
+
+        Resampled particles carry the ratio of the weights in double and in single precision, so this is a particle
+        filter in its own right; what differs from the kernel is rounding alone. Left to itself it would choose another
+        parent at the first tie of last bits, and drift apart by as much as two filters with different seeds.
+        """
+        kind = kind_of(self.measurement) if len(F) == 3 else None
+        compiled = None if kind is None else kernels.load(KERNELS)
+        if kind is None or compiled is None:
+            raise BadValue("engine", "double", "auto or numpy where there is no kernel, or no numba")
+        chosen = np.full((len(Y), 2, self.particles), -1.0, dtype=np.float32)
+        self._compiled(compiled, kind, batch, i, F, Q, Y, quality, streams, chosen)
+        draws = _KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[i])
+        return self._replication(batch, i, F, Q, Y, quality, draws, chosen)
 
 
 class _Shared(threading.local):

@@ -385,14 +385,15 @@ def flat(A):
 
 @kernel(
     "void(i8, i8, f4[:,:,::1], u8, u8, u8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f4[:,:,::1], f4[::1], f8,"
-    "f8[:,::1])"
+    "f8[:,::1], f4[:,:,::1])"
 )
-def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table, resample_below, out):
+def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table, resample_below, out, chosen):
     """One replication: posterior means, covariances and effective numbers of particles into out (T, 13).
 
     `terms` (T, B, TERMS) and `table` as for `loglik`; positions relative to the prior's mean, with theta = F theta + b
     + n. `noise` (T + 1, 3, M), M the padded N, holds the normals of the prior and of each step; with (1, 3, M) they are
-    drawn here.
+    drawn here. `chosen` (T, 2, N) receives, at each step that ends in resampling, every particle's parent and the weights
+    that it was chosen by; with (0, 2, N) nobody asks.
     """
     M = noise.shape[2]
     T = terms.shape[0]
@@ -455,3 +456,9 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
             resample(w, N, turn(u8(k + 1), replication, k0, k1), cumulative, first, parent, particles, children)
             particles, children = children, particles
             log_w[:N] = ZERO
+            if chosen.shape[0] > 0:
+                last = ZERO
+                for i in range(N):
+                    last = larger(last, parent[i])
+                    chosen[k, 0, i] = last
+                    chosen[k, 1, i] = w[i]

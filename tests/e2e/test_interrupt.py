@@ -22,7 +22,12 @@ def test_interrupted_runs_leave_whole_parts_and_go_on(backend, tmp_path):
     command = [sys.executable, "-m", "aoabench.cli", *words]
     # a group of its own, and the whole group gets the signal, as from a terminal
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests run in the background
     )
     deadline = time.monotonic() + 120
     while not list(tmp_path.glob("parts/*/*.json")) and time.monotonic() < deadline:

@@ -284,17 +284,20 @@ def estimates(cell, engine, replication, **changes):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("noise", ["vmf", "ae_flip"])
-def test_a_lap_on_the_same_draws_in_double_precision(name, noise):
-    """Means within 2e-5 m and covariances within 2e-5 m^2 until a resampled particle differs, by a last bit, which sends
-    the two ways apart; that is not before the tenth step in the median of 20 replications of 300 particles."""
-    cell, together = cell_with(name, f"noise={noise}"), []
+def test_a_lap_along_the_kernel_in_double_precision(name, noise):
+    """20 laps of 300 particles: means and covariances differ by rounding, a few 1e-7 m in the median.
+
+    The azimuth turns by rounding / rho close to a pole, where its likelihood is steep: AE up to some 2e-4 m. AE-adaptive
+    more, where a particle within rounding of the border between two rows of its table takes the other row's weights.
+    """
+    most = {"pf_vmf": 1e-4, "pf_ae_nominal": 1e-3, "pf_ae_fitted": 1e-3, "pf_ae_adaptive": 0.02}[name]
+    cell = cell_with(name, f"noise={noise}")
     for r in range(20):
         fast, exact = (estimates(cell, engine, r, particles=300) for engine in ("auto", "double"))
-        apart = np.abs(fast.position - exact.position).max(-1)[0] > 2e-5
-        n = int(np.argmax(apart)) if apart.any() else len(apart)
-        together.append(n)
-        assert np.abs(fast.covariance - exact.covariance)[0, :n].max(initial=0) < 2e-5
-    assert np.median(together) >= 10
+        apart = np.abs(fast.position - exact.position).max(-1)[0]
+        assert np.median(apart) < 1e-5
+        assert apart.max() < most
+        assert np.median(np.abs(fast.covariance - exact.covariance)) < 1e-5
 
 
 @pytest.mark.slow
@@ -311,18 +314,20 @@ def test_rmse_agrees_with_the_reference_on_200_paired_replications(name):
 
 
 @pytest.mark.slow
-def test_single_precision_is_not_seen_beside_the_monte_carlo_error():
-    """On the same draws the RMSE of 1000 replications moves by less than a tenth of its standard error.
+@pytest.mark.parametrize("name", NAMES)
+def test_single_precision_is_not_seen_beside_the_monte_carlo_error(name):
+    """RMSE of 300 replications of 1000 particles: the mean difference from double precision along the kernel, with three
+    of its standard errors (false alarm 3e-3), is below a tenth of the RMSE's standard error at 1000 replications.
 
-    PF-VMF with 300 particles. What is left of the difference is the scatter of those replications in which the two ways
-    went apart; `make bench` measures all four models at 10 000 particles.
+    `make bench` measures it at 10 000 particles and 1000 replications, both data models.
     """
-    cell = cell_with("pf_vmf", "noise=vmf", "noise.sigma_deg=2")
+    cell = cell_with(name, "noise=ae_flip")
     one = next(iter(cell.estimators.values()))
-    both = {engine: replace(one, engine=engine, particles=300) for engine in ("auto", "double")}
-    blocks = montecarlo.run_block(cell.scenario, cell.noise, both, 1, 0, 1000)
+    both = {engine: replace(one, engine=engine, particles=1000) for engine in ("auto", "double")}
+    blocks = montecarlo.run_block(cell.scenario, cell.noise, both, 1, 0, 300)
     fast, exact = (blocks[engine][0]["rmse_3d_m"] for engine in both)
-    assert abs((fast - exact).mean()) < 0.1 * exact.std() / np.sqrt(1000)
+    d = fast - exact
+    assert abs(d.mean()) + 3 * d.std(ddof=1) / np.sqrt(300) < 0.1 * exact.std() / np.sqrt(1000)
 
 
 class Still:
