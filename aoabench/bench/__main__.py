@@ -53,6 +53,8 @@ def draw(frame: Any, path: Path) -> None:
         models = list(plots.LABELS)
         for axis, (what, label) in zip(axes, panels):
             part = frame[frame["what"].str.fullmatch(rf"{what}( in .*)?")]
+            if not len(part):
+                continue
             engines = list(dict.fromkeys(part["what"]))[::-1]
             for height, engine in enumerate(engines):
                 for _, row in part[part["what"] == engine].iterrows():

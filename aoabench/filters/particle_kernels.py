@@ -2,7 +2,7 @@
 
 The arithmetic is `filters/particle.py`'s. What differs is the order and the precision:
 
-- Philox4x32-10 [Salmon et al., SC 2011] with the counter (particle, step, replication, stream): every filter of a
+- Philox4x32-10 [Salmon et al., SC 2011] with the counter (place, step, replication, stream): every filter of a
   replication moves its particles by the same normals, whoever computes them, and as many as it likes.
 - positions are relative to the prior's mean; azimuths are measured from the measured azimuth (the anchor's frame is
   turned by it), so that no difference of angles needs wrapping: |a| = 2 atan(|y| / (rho + |x|)).
@@ -27,6 +27,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 TILE = 256
+QUARTER = TILE // 4
 SCRATCH = 5 * TILE
 UNIT_VECTOR, AZEL, AZEL_ADAPTIVE = range(3)  # measurement models
 NORMALS, TURNS = range(2)  # streams
@@ -202,19 +203,30 @@ def philox(c0, c1, c2, c3, k0, k1):
     return u4(c0), u4(c1), u4(c2), u4(c3)
 
 
+@inlined
+def four_normals(counter, step, replication, k0, k1):
+    """Box and Muller on the four words of one counter."""
+    a, b, c, d = philox(counter, step, replication, u8(NORMALS), k0, k1)
+    r, t = radius(a), radius(c)
+    s0, c0 = circle(b)
+    s1, c1 = circle(d)
+    return r * s0, r * c0, t * s1, t * c1
+
+
 @kernel("void(f4[:,::1], u8, u8, u8, u8)")
 def normals(out, step, replication, k0, k1):
-    """Standard normals into out (3, N), N a multiple of TILE, by Box and Muller."""
+    """Standard normals into out (3, N), N a multiple of TILE.
+
+    Three counters make the three normals of four particles, a quarter of a tile apart.
+    """
     for o in range(0, out.shape[1], TILE):
         x, y, z = out[0, o : o + TILE], out[1, o : o + TILE], out[2, o : o + TILE]
-        for i in range(TILE):
-            a, b, c, d = philox(u8(o + i), step, replication, u8(NORMALS), k0, k1)
-            r = radius(a)
-            sine, cosine = circle(b)
-            x[i] = r * sine
-            y[i] = r * cosine
-            sine, cosine = circle(d)
-            z[i] = radius(c) * sine
+        for i in range(QUARTER):
+            first = u8(3) * u8(o // 4 + i)
+            p, q, r = i + QUARTER, i + 2 * QUARTER, i + 3 * QUARTER
+            x[i], y[i], z[i], x[p] = four_normals(first, step, replication, k0, k1)
+            y[p], z[p], x[q], y[q] = four_normals(first + u8(1), step, replication, k0, k1)
+            z[q], x[r], y[r], z[r] = four_normals(first + u8(2), step, replication, k0, k1)
 
 
 @kernel("f8(u8, u8, u8, u8)")
@@ -346,6 +358,13 @@ def squares(x, y, z, w, c):
     return xx, xy, xz, yy, yz, zz
 
 
+@inlined
+def first_children(cumulative, scale, offset, end, first):
+    """The places where particles i + 1 have their first child, at most `end`; `cumulative` begins at `offset`."""
+    for i in range(len(cumulative)):
+        first[i] = min(i4(math.ceil(cumulative[i] * scale + offset)), end)
+
+
 @kernel("void(f4[::1], i8, f8, f8[::1], i4[::1], f4[::1], f4[:,::1], f4[:,::1])")
 def resample(w, N, uniform, cumulative, first, parent, x, children):
     """Systematic resampling of particles x (3, M) with weights w (M,), 0 from N on, and one uniform in [0, 1).
@@ -355,13 +374,24 @@ def resample(w, N, uniform, cumulative, first, parent, x, children):
     could be mispredicted: the numbers of parents are float32, exact to 2^24. `cumulative`, `first` (M,), `parent`
     (M + 1,): scratch.
     """
-    total = 0.0
-    for i in range(len(w)):
-        total += w[i]
-        cumulative[i] = total
-    scale, end = N / total, i4(N)
-    for i in range(N):
-        first[i] = min(i4(math.ceil(cumulative[i] * scale - uniform)), end)
+    q = len(w) // 4
+    c0 = c1 = c2 = c3 = 0.0  # four quarters at once: sums that need not wait for each other
+    for i in range(q):
+        c0 += w[i]
+        cumulative[i] = c0
+        c1 += w[q + i]
+        cumulative[q + i] = c1
+        c2 += w[2 * q + i]
+        cumulative[2 * q + i] = c2
+        c3 += w[3 * q + i]
+        cumulative[3 * q + i] = c3
+    c1 += c0
+    c2 += c1
+    scale, end = N / (c2 + c3), i4(N)
+    first_children(cumulative[:q], scale, -uniform, end, first[:q])
+    first_children(cumulative[q : 2 * q], scale, c0 * scale - uniform, end, first[q : 2 * q])
+    first_children(cumulative[2 * q : 3 * q], scale, c1 * scale - uniform, end, first[2 * q : 3 * q])
+    first_children(cumulative[3 * q :], scale, c2 * scale - uniform, end, first[3 * q :])
     parent[:] = ZERO
     for i in range(N - 1):
         parent[u4(first[i])] = f4(i + 1)
