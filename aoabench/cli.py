@@ -159,6 +159,7 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
     for name, title in (("rmse_pooled_3d_m", "RMSE 3-D [m]"), ("rmse_pooled_xy_m", "RMSE xy [m]")):
         shown[title] = [f"{v:.4g} ± {s:.1g}" for v, s in zip(mine[name], mine[f"{name}_se"])]
     shown["failed"] = [f"{v:.1%}" for v in mine["failure_rate"]]
+    shown["fixes ok"] = [f"{v:.2%}" for v in mine["share_ok"]]
     print(shown.to_string(index=False, max_rows=60))
     print(f"tables: {out}/{{replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})")
 

@@ -46,6 +46,17 @@ def per_step(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
     }
 
 
+def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
+    """Errors and iterations (float32) and outcomes (int8), each (R, T), of replications that share their positions."""
+    error, nothing = estimates.position - truth, np.full(estimates.outcome.shape, np.nan)
+    return {
+        "error_3d_m": np.sqrt((error**2).sum(-1)).astype(np.float32),
+        "error_xy_m": np.hypot(error[..., 0], error[..., 1]).astype(np.float32),
+        "iterations": (nothing if estimates.iterations is None else estimates.iterations).astype(np.float32),
+        "outcome": estimates.outcome.astype(np.int8),
+    }
+
+
 def root_mean_square(error: Array, accepted: np.ndarray) -> Array:
     """Root mean square (R,) of errors (R, T) over the accepted fixes; NaN without any, or where the error is NaN."""
     return np.sqrt(_mean(error**2, accepted))

@@ -76,13 +76,17 @@ class Draws:
 
 def run_block(
     scenario: Any, noise: Any, estimators: Mapping[str, Any], seed: int, start: int, stop: int, steps: bool = False
-) -> dict[str, tuple[Rows, Rows | None]]:
-    """Rows of replications start..stop-1 for each estimator: per replication, and per step if asked for.
+) -> dict[str, dict[str, Rows]]:
+    """Replications start..stop-1 for each estimator: `rows`, one per replication, and `steps` if asked for.
 
-    Estimators take turns tile by tile: what depends on the replication alone is drawn once for all of them.
+    Where all replications share their true positions there are `fixes` too, one row of arrays per replication, because
+    standard errors then cluster by position. Estimators take turns tile by tile: what depends on the replication alone
+    is drawn once for all of them.
     """
-    rows: dict[str, list[Rows]] = {name: [] for name in estimators}
-    details: dict[str, list[Rows]] = {name: [] for name in estimators}
+    score = {"rows": _rows}
+    score |= {"steps": _details} if steps else {}
+    score |= {"fixes": _fixes} if getattr(scenario, "same_truth", False) else {}
+    scores: dict[str, dict[str, list[Rows]]] = {name: {kind: [] for kind in score} for name in estimators}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for size in sorted({tile_of(estimator) for estimator in estimators.values()}):
@@ -96,10 +100,9 @@ def run_block(
                 for name in names:
                     truth = np.concatenate([tile[name][0] for tile in found])
                     estimates = _one_after_the_other([tile[name][1] for tile in found])
-                    rows[name].append(_rows(numbers, truth, estimates, keep))
-                    if steps:
-                        details[name].append(_details(numbers, truth, estimates, keep))
-    return {name: (_join(rows[name]), _join(details[name]) if steps else None) for name in estimators}
+                    for kind, make in score.items():
+                        scores[name][kind].append(make(numbers, truth, estimates, keep))
+    return {name: {kind: _join(found) for kind, found in kinds.items()} for name, kinds in scores.items()}
 
 
 def _one_after_the_other(tiles: list[Estimates]) -> Estimates:
@@ -117,6 +120,11 @@ def _details(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep:
     found = {"replication": np.tile(numbers, (T, 1)).T, "step": np.tile(np.arange(T), (R, 1))}
     found |= metrics.per_step(estimates, truth[..., :3])
     return {k: v[keep].ravel() for k, v in found.items()}
+
+
+def _fixes(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray) -> Rows:
+    found = {"replication": numbers, **metrics.per_fix(estimates, truth[..., :3])}
+    return {k: v[keep] for k, v in found.items()}
 
 
 def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates]:

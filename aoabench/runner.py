@@ -114,11 +114,12 @@ def writable(folder: str, key: str = "runner.out") -> Path:
 def _tasks(cell: Cell, keys: Mapping[str, str], out: Path, claimed: set[str]) -> Iterator[Task]:
     """Blocks of whole tiles; estimators of one tile size that miss the same share a block, and so its draws."""
     gaps: dict[tuple[int, int, int], dict[str, str]] = defaultdict(dict)
+    kind = "steps" if cell.runner.steps else "rows"
     for name, key in keys.items():
         if key in claimed:
             continue
         claimed.add(key)
-        done = [(part.start, part.stop) for part in store.intact_parts(out, key, cell.runner.steps)]
+        done = [(part.start, part.stop) for part in store.intact_parts(out, key, kind)]
         for gap in store.missing_ranges(done, cell.reps):
             gaps[*gap, montecarlo.tile_of(cell.estimators[name])][name] = key
     for (start, stop, tile), names in sorted(gaps.items()):
@@ -141,9 +142,9 @@ def compute(task: Task, out: Path) -> int:
     estimators = {name: cell.estimators[name] for name in task.keys}
     steps = cell.runner.steps
     blocks = montecarlo.run_block(cell.scenario, cell.noise, estimators, cell.seed, task.start, task.stop, steps)
-    for name, (rows, detail) in blocks.items():
+    for name, block in blocks.items():
         origin = store.provenance({**cell.config, "this_estimator": name})
-        store.write_part(out, task.keys[name], task.start, task.stop, rows, detail, origin)
+        store.write_part(out, task.keys[name], task.start, task.stop, block, origin)
     return task.size
 
 

@@ -7,7 +7,7 @@ never treated as draws. NaN values (failed replications) are left out of means a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -145,8 +145,72 @@ def paired(a: ArrayLike, b: ArrayLike) -> Paired:
     return Paired(n, difference, Estimate(100 * (ratio - 1), 100 * spread), p)
 
 
-def summarise(rows: Any) -> dict[str, Any]:
-    """One row of the summary table from the replications (a frame) of one estimator in one cell."""
+@dataclass(frozen=True)
+class Clusters:
+    """Sums over replications for each of P true positions that all replications share; every array (P,).
+
+    fixes: accepted ones; square_3d, square_xy: of their errors, m^2; iterations: theirs; influence_3d, ..: what the
+    position adds to the mean over replications of the RMSE, about that mean, m; replications: how many were summed.
+    """
+
+    replications: int
+    fixes: Array
+    square_3d: Array
+    square_xy: Array
+    iterations: Array
+    influence_3d: Array
+    influence_xy: Array
+    influence_z: Array
+
+    def __add__(self, other: Clusters) -> Clusters:
+        return Clusters(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors clustered by position, by the summary's names of what they belong to.
+
+        Positions are taken as drawn independently; all fixes of one position may depend on each other.
+        """
+        n = np.where(self.fixes > 0, self.fixes, np.nan)
+        squares = {"3d": self.square_3d, "xy": self.square_xy, "z": np.maximum(self.square_3d - self.square_xy, 0.0)}
+        found = {}
+        for axis, square in squares.items():
+            found[f"rmse_pooled_{axis}_m"] = pooled_rmse(np.sqrt(square / n), self.fixes).se
+            influence = getattr(self, f"influence_{axis}") / self.replications
+            found[f"rmse_mean_{axis}_m"] = mean(len(n) * influence).se
+        found["iterations_mean"] = ratio(self.iterations, self.fixes).se
+        return found
+
+
+def clusters(error_3d: Array, error_xy: Array, iterations: Array, accepted: np.ndarray) -> Clusters:
+    """Sums per position from errors in m, iterations and whether a fix counts, each (R, P)."""
+    a, n = accepted.astype(float), np.maximum(accepted.sum(axis=1), 1)[:, None]
+    square = {"3d": np.where(accepted, error_3d, 0.0).astype(float) ** 2}
+    square["xy"] = np.where(accepted, error_xy, 0.0).astype(float) ** 2
+    square["z"] = np.maximum(square["3d"] - square["xy"], 0.0)
+    influence = {}
+    for axis, s in square.items():
+        ms = s.sum(axis=1, keepdims=True) / n
+        influence[axis] = (a * (s - ms) / (2 * np.sqrt(np.where(ms > 0, ms, np.inf)) * n)).sum(axis=0)
+    counted = np.where(accepted, iterations, 0.0).sum(axis=0)
+    sums = a.sum(axis=0), square["3d"].sum(axis=0), square["xy"].sum(axis=0), counted
+    return Clusters(len(a), *sums, influence["3d"], influence["xy"], influence["z"])
+
+
+def ratio(numerator: ArrayLike, denominator: ArrayLike) -> Estimate:
+    """sum of numerators / sum of denominators over independent units (N,), standard error by the delta method."""
+    x, n = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
+    if not n.sum() > 0:
+        return Estimate(math.nan, math.nan)
+    value = float(x.sum() / n.sum())
+    return Estimate(value, mean((x - value * n) / n.mean()).se)
+
+
+def summarise(rows: Any, clusters: Clusters | None = None) -> dict[str, Any]:
+    """One row of the summary table from the replications (a frame) of one estimator in one cell.
+
+    With `clusters`, standard errors of RMSE and iterations are clustered by position (`se_by`); those of quantiles and
+    of the failure rate are always over replications.
+    """
     n = len(rows)
     accepted = rows["n_ok"] + rows["n_oscillated"] + rows["n_diverged"]
     bad = int(rows["outcome"].isin(["failed", "diverged"]).sum())
@@ -165,6 +229,9 @@ def summarise(rows: Any) -> dict[str, Any]:
     put("iterations_mean", mean(rows["iterations"]))
     for name in ("ok", "rejected", "oscillated", "diverged", "failed"):
         result[f"share_{name}"] = float(rows[f"n_{name}"].sum() / max(rows["n_fixes"].sum(), 1))
+    result["se_by"] = "replication" if clusters is None else "position"
+    if clusters is not None:
+        result |= {f"{name}_se": se for name, se in clusters.standard_errors().items()}
     return result
 
 

@@ -1,6 +1,7 @@
 """Parquet in and out: parts that are never computed twice, their keys, their provenance and integrity.
 
-    <out>/parts/<key>/<start>-<stop>.rows.<unique>.parquet   rows of one estimator in one cell, provenance as metadata
+    <out>/parts/<key>/<start>-<stop>.<kind>.<unique>.parquet   rows (or steps, or fixes) of one estimator in one cell,
+                                                               provenance as metadata
     <out>/parts/<key>/<start>-<stop>.json                    its seal: file names and checksums; without a matching one
                                                              the part is computed again
 
@@ -45,6 +46,10 @@ STEPS = {
     "replication": "int64", "step": "int64", "x_m": "double", "y_m": "double", "z_m": "double",
     "error_3d_m": "double", "error_xy_m": "double", "error_z_m": "double", "outcome": "string",
 }  # fmt: skip
+FIXES = {
+    "replication": "int64", "error_3d_m": "floats", "error_xy_m": "floats", "iterations": "floats", "outcome": "bytes",
+}  # fmt: skip
+KINDS = {"rows": REPLICATIONS, "steps": STEPS, "fixes": FIXES}  # what a part may consist of; rows are always there
 IDENTITY = ("cell", "experiment", "scenario", "noise", "estimator")
 
 
@@ -53,6 +58,7 @@ def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = No
     import pyarrow as pa
 
     types = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "bool": pa.bool_()}
+    types |= {"floats": pa.list_(pa.float32()), "bytes": pa.list_(pa.int8())}
     meta = {"aoabench": json.dumps(provenance, default=str)} if provenance else None
     return pa.schema([(name, types[kind]) for name, kind in columns.items()], metadata=meta)
 
@@ -257,9 +263,14 @@ def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> s
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.table(
-        [pa.array(columns[f.name], type=f.type, from_pandas=f.name in IDENTITY) for f in schema_], schema=schema_
-    )
+    def column(field: pa.Field) -> pa.Array:
+        values = columns[field.name]
+        if pa.types.is_list(field.type):  # a row of an array (N, T) each
+            offsets = np.arange(len(values) + 1, dtype=np.int32) * np.shape(values)[1]
+            return pa.ListArray.from_arrays(offsets, pa.array(np.ravel(values), type=field.type.value_type))
+        return pa.array(values, type=field.type, from_pandas=field.name in IDENTITY)
+
+    table = pa.table([column(field) for field in schema_], schema=schema_)
     checksum = ""
 
     def write(temporary: Path) -> None:
@@ -292,27 +303,27 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Part:
-    """Replications start..stop-1 of one estimator: where its rows and, if kept, its steps lie."""
+    """Replications start..stop-1 of one estimator, and the file of each kind (see KINDS) that it consists of."""
 
     start: int
     stop: int
-    rows: Path
-    steps: Path | None
+    files: Mapping[str, Path]
 
 
-def write_part(out: Path, key: str, start: int, stop: int, rows: Any, steps: Any, origin: Mapping[str, Any]) -> None:
-    """One estimator's rows (and steps, if any) of a block.
+def write_part(
+    out: Path, key: str, start: int, stop: int, block: Mapping[str, Mapping[str, Any]], origin: Mapping[str, Any]
+) -> None:
+    """What a block found for one estimator, a table for each kind.
 
     Files get names of their own; the seal <start>-<stop>.json, written last, names them with their checksums and makes
     the part count. So two processes that write the same part do not mix.
     """
     folder, span = out / "parts" / key, f"{start:09d}-{stop:09d}"
     written = {}
-    for kind, content, columns in (("rows", rows, REPLICATIONS), ("steps", steps, STEPS)):
-        if content is not None:
-            path = folder / f"{span}.{kind}.{uuid.uuid4().hex[:8]}.parquet"
-            inner = {name: type_ for name, type_ in columns.items() if name not in IDENTITY}
-            written[kind] = [path.name, write_table(path, content, schema(inner, origin))]
+    for kind, content in block.items():
+        path = folder / f"{span}.{kind}.{uuid.uuid4().hex[:8]}.parquet"
+        inner = {name: type_ for name, type_ in KINDS[kind].items() if name not in IDENTITY}
+        written[kind] = [path.name, write_table(path, content, schema(inner, origin))]
     seal = json.dumps(written)
     write_atomically(folder / f"{span}.json", lambda temporary: temporary.write_text(seal, encoding="utf-8"))
 
@@ -321,8 +332,8 @@ def _checksum(path: Path) -> str:
     return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
 
 
-def intact_parts(out: Path, key: str, steps: bool = False) -> list[Part]:
-    """The parts whose checksums fit, in order; a torn or altered one is not listed."""
+def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:
+    """The parts whose checksums fit and that have this kind, in order; a torn or altered one is not listed."""
     found = []
     for seal in sorted((out / "parts" / key).glob("*.json")):
         try:
@@ -330,10 +341,10 @@ def intact_parts(out: Path, key: str, steps: bool = False) -> list[Part]:
             files = {kind: seal.parent / Path(name).name for kind, (name, _) in named.items()}
             good = all(_checksum(files[kind]) == checksum for kind, (_, checksum) in named.items())
             start, stop = (int(n) for n in seal.stem.split("-"))
-            part = Part(start, stop, files["rows"], files.get("steps"))
+            part = Part(start, stop, files)
         except (OSError, ValueError, AttributeError, KeyError, TypeError):
             continue
-        if good and (part.steps or not steps):
+        if good and kind in files:
             found.append(part)
     return found
 

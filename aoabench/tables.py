@@ -10,15 +10,17 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from aoabench import statistics
 from aoabench.store import (
     IDENTITY,
-    REPLICATIONS,
-    STEPS,
+    KINDS,
     flatten,
     intact_parts,
     provenance,
@@ -27,10 +29,11 @@ from aoabench.store import (
     write_frame,
     write_table,
 )
-from aoabench.types import UserError
+from aoabench.types import Outcome, UserError
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
 
 TIMING = {
     "cell": "string", "experiment": "string", "scenario": "string", "noise": "string", "estimator": "string",
@@ -99,9 +102,9 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     for record in noted:
         path = out / "replications.parquet" / f"{record['cell']}.parquet"
         if changed is None or record["cell"] in changed or not path.exists():
-            _collect_rows(out, record, REPLICATIONS, "replications", steps=False)
+            _collect_rows(out, record, "rows")
             if any(entry["steps"] for entry in record["estimators"].values()):
-                _collect_rows(out, record, STEPS, "steps", steps=True)
+                _collect_rows(out, record, "steps")
             else:
                 (out / "steps.parquet" / f"{record['cell']}.parquet").unlink(missing_ok=True)
     swept = swept_parameters(noted)
@@ -123,7 +126,9 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     for record in noted:
         frame = pd.read_parquet(out / "replications.parquet" / f"{record['cell']}.parquet")
         for name, group in frame.groupby("estimator", sort=False):
-            rows.append({**{k: record[k] for k in IDENTITY[:4]}, "estimator": name, **statistics.summarise(group)})
+            clusters = _clusters(out, record["estimators"][name])
+            found = statistics.summarise(group, clusters)
+            rows.append({**{k: record[k] for k in IDENTITY[:4]}, "estimator": name, **found})
     summary = pd.DataFrame(rows)
     summary["experiment"] = summary["experiment"].astype("string")
     write_frame(out / "summary.parquet", summary)
@@ -152,40 +157,92 @@ def write_timing(out: Path) -> None:
     write_table(out / "timing.parquet", {c: [t[c] for t in timed] for c in TIMING}, schema(TIMING, provenance()))
 
 
-def _collect_rows(out: Path, record: Mapping[str, Any], columns: Mapping[str, str], table: str, steps: bool) -> None:
+def _collect_rows(out: Path, record: Mapping[str, Any], kind: str) -> None:
     import pyarrow as pa
-    import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
-    inner = schema({n: k for n, k in columns.items() if n not in IDENTITY})
+    columns = KINDS[kind]
+    table = {"rows": "replications"}.get(kind, kind)
     outer = schema(columns, {**record["provenance"], "config": record["config"]})
 
     def write(temporary: Path) -> None:
         with pq.ParquetWriter(temporary, outer, compression="zstd") as writer:
             for name, entry in record["estimators"].items():
-                if steps and not entry["steps"]:
+                if kind == "steps" and not entry["steps"]:
                     continue
-                position = 0
-                for found in intact_parts(out, entry["key"], steps):
-                    if found.stop <= position or found.start >= entry["reps"]:
-                        continue
-                    if found.start > position:
-                        break
-                    part = pq.read_table(found.steps if steps else found.rows, schema=inner)
-                    number = part["replication"]
-                    keep = pc.and_(pc.greater_equal(number, position), pc.less(number, entry["reps"]))
-                    part = part.filter(keep)
-                    position = found.stop
+                for part in _noted_parts(out, entry, kind):
                     same = {**{k: record[k] for k in IDENTITY[:4]}, "estimator": name}
                     full = [
                         pa.array([same[f.name]] * len(part), f.type) if f.name in same else part[f.name] for f in outer
                     ]
                     writer.write_table(pa.table(full, schema=outer))
-                if position < entry["reps"]:
-                    gap = f"replications from {position} on of {name} in cell {record['cell']} are not there any more"
-                    raise RuntimeError(f"{out}: {gap}; run the same command again")
 
     write_atomically(out / f"{table}.parquet" / f"{record['cell']}.parquet", write)
+
+
+def _noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.Table]:
+    """The parts of one noted estimator as tables, cut to its replications 0 ... reps-1 and in their order."""
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    inner = schema({n: type_ for n, type_ in KINDS[kind].items() if n not in IDENTITY})
+    position = 0
+    for found in intact_parts(out, entry["key"], kind):
+        if found.stop <= position or found.start >= entry["reps"]:
+            continue
+        if found.start > position:
+            break
+        part = pq.read_table(found.files[kind], schema=inner)
+        number = part["replication"]
+        keep = pc.and_(pc.greater_equal(number, position), pc.less(number, entry["reps"]))
+        position = found.stop
+        yield part.filter(keep)
+    if position < entry["reps"]:
+        gap = f"replications from {position} on of part {entry['key']} are not there any more"
+        raise RuntimeError(f"{out}: {gap}; run the same command again")
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Every fix of one estimator in one cell whose replications share their true positions; arrays (R, T).
+
+    error_3d_m, error_xy_m in m (NaN: no position), iterations (NaN: none counted), outcome of types.Outcome.
+    """
+
+    error_3d_m: np.ndarray
+    error_xy_m: np.ndarray
+    iterations: np.ndarray
+    outcome: np.ndarray
+
+
+def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
+    """The fixes of one estimator in one cell of the run in `out`; UserError where there are none."""
+    entry = _read_record(Path(out) / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
+    found = [] if entry is None else [_fixes(part) for part in _noted_parts(Path(out), entry, "fixes")]
+    if not found:
+        raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r}")
+    return Fixes(**{f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Fixes)})
+
+
+def _fixes(part: pa.Table) -> Fixes:
+    arrays = {}
+    for f in fields(Fixes):
+        column = part[f.name].combine_chunks()
+        arrays[f.name] = column.flatten().to_numpy(zero_copy_only=False).reshape(len(part), -1)
+    return Fixes(**arrays)
+
+
+def _clusters(out: Path, entry: Mapping[str, Any]) -> statistics.Clusters | None:
+    """Sums per true position where the replications share them, part by part; None where they do not."""
+    if not any(intact_parts(out, entry["key"], "fixes")):
+        return None
+    total: statistics.Clusters | None = None
+    for part in _noted_parts(out, entry, "fixes"):
+        one = _fixes(part)
+        accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED])
+        found = statistics.clusters(one.error_3d_m, one.error_xy_m, one.iterations, accepted)
+        total = found if total is None else total + found
+    return total
 
 
 def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -101,7 +101,11 @@ def padded(a: Array, lanes: int) -> Array:
 
 
 def planes(batch: Batch, rows: str = "printed") -> Array:
-    """Least-squares positions (R, T, 3) m, NaN where A^T A is singular; what is not measured gives no row."""
+    """Least-squares positions (R, T, 3) m; what is not measured gives no row.
+
+    NaN where A^T A is singular, and where all anchors that measured stand in one place: planes through it meet there,
+    whatever was measured.
+    """
     phi, theta = batch.azimuth, batch.elevation
     zero = np.zeros_like(phi)
     s, c = np.sin(phi), np.cos(phi)
@@ -116,7 +120,11 @@ def planes(batch: Batch, rows: str = "printed") -> Array:
     centre = batch.anchors.position.mean(axis=1, keepdims=True)
     b = (a @ (batch.anchors.position - centre)[:, None, ..., None])[..., 0]  # (R, T, B, 2)
     A, g = np.einsum("rtbki,rtbkj->rtij", a, a), np.einsum("rtbki,rtbk->rti", a, b)
-    return solve(A, g) + centre
+    used = ~missing[..., 0, 0] | ~missing[..., 1, 0]
+    s = np.where(used[..., None], (batch.anchors.position - centre)[:, None], 0.0)  # (R, T, B, 3)
+    n, m2 = used.sum(axis=-1), (s**2).sum(axis=(-1, -2))
+    apart = n * m2 - (s.sum(axis=-2) ** 2).sum(axis=-1)
+    return np.where((apart > SINGULAR * n * m2)[..., None], solve(A, g) + centre, np.nan)
 
 
 def solve(A: Array, g: Array) -> Array:

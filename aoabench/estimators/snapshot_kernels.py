@@ -103,8 +103,12 @@ def solve(a00, a10, a11, a20, a21, a22, g0, g1, g2):
 
 @inlined
 def planes(rows, phi, theta, wa, we, s, R):
-    """Least-squares position from one fix's angles (B,), relative to the origin of s (3, B); R (3, 3, B)."""
+    """Least-squares position from one fix's angles (B,), relative to the origin of s (3, B); R (3, 3, B).
+
+    And whether the equations determine it: planes through one single place always meet there, whatever was measured.
+    """
     a00 = a10 = a11 = a20 = a21 = a22 = g0 = g1 = g2 = 0.0
+    n = mx = my = mz = m2 = 0.0
     for j in range(len(phi)):
         sp, cp = sine_cosine(phi[j])
         st, ct = sine_cosine(theta[j])
@@ -130,7 +134,15 @@ def planes(rows, phi, theta, wa, we, s, R):
         g0 += x * b + u * d
         g1 += y * b + v * d
         g2 += z * b + t * d
-    return solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
+        w = 1.0 if wa[j] + we[j] > 0.0 else 0.0
+        n += w
+        mx += w * s[0, j]
+        my += w * s[1, j]
+        mz += w * s[2, j]
+        m2 += w * (s[0, j] * s[0, j] + s[1, j] * s[1, j] + s[2, j] * s[2, j])
+    x, y, z, sound = solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
+    apart = n * m2 - mx * mx - my * my - mz * mz  # sum of the squared distances between any two of them
+    return x, y, z, sound & (apart > SINGULAR * n * m2)
 
 
 @inlined

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from aoabench import bounds
 from aoabench.directional import (
     flip,
     flipped_azimuth_std,
@@ -20,7 +21,7 @@ from aoabench.directional import (
     vmf_sample,
 )
 from aoabench.geometry import Array, in_frames, to_azel, to_unit, wrap
-from aoabench.types import BadValue, Measurements, check_number
+from aoabench.types import Anchors, BadValue, Measurements, check_number
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,14 @@ class _Angular:
         """Root mean square residuals (azimuth, elevation), each (N,) rad, at true elevations (N,) rad."""
         raise NotImplementedError
 
+    def information(self, point: Array, anchors: Anchors) -> Array:
+        """Fisher information (..., 3, 3) 1/m^2 of one set of measurements at points (..., 3) m.
+
+        That of independent normal angles; wrapping and flipping are not seen as long as sigma is small beside pi and
+        beside the distance to the pole.
+        """
+        return bounds.azel_information(point, anchors, self.sigma, self.sigma)
+
 
 @lru_cache(maxsize=64)
 def _fitted(noise: _Angular) -> tuple[float, float]:
@@ -131,6 +140,9 @@ class VonMisesFisher(_Angular):
     def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
         u = vmf_sample(rng, to_unit(azimuth, elevation), self.concentration)
         return to_azel(u[..., 0], u[..., 1], u[..., 2])
+
+    def information(self, point: Array, anchors: Anchors) -> Array:
+        return bounds.direction_information(point, anchors, self.concentration)
 
     def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
         return _vmf_residual_rms(self.concentration, tuple(np.asarray(elevation).tolist()))

@@ -17,7 +17,7 @@ ESTIMATORS = [("filter", n) for n in options("filter")] + [("estimator", n) for 
 def test_every_scenario_with_every_noise(scenario, noise):
     one = "estimator=[ml_kcorr]" if scenario in SNAPSHOT else "filter=[ekf_vmf]"
     cell = compose_cells([f"scenario={scenario}", f"noise={noise}", one])[0]
-    rows, _ = next(iter(run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3).values()))
+    rows = next(iter(run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3).values()))["rows"]
     assert np.all(np.isfinite(rows["rmse_3d_m"]))
     truth, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 2)
     assert np.all((batch.azimuth > -np.pi) & (batch.azimuth <= np.pi))
@@ -51,7 +51,7 @@ def test_every_estimator_is_better_than_no_measurement_at_all(group, name):
     """The track is 5 m wide; whoever ignores the measurements is off by more than 3 m."""
     cell = compose_cells(["scenario=square_track_upright", "noise=vmf", f"{group}=[{name}]"])[0]
     reps = 64 if tile_of(cell.estimators[name]) > 1 else 8
-    rows, _ = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, reps)[name]
+    rows = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, reps)[name]["rows"]
     assert np.median(rows["rmse_3d_m"]) < (1.5 if group == "filter" else 2.5)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from aoabench.bounds import azel_information, crb, direction_information, gdop
+from aoabench.composing import compose_cells
 from aoabench.directional import vmf_log_peak, vmf_sample
 from aoabench.geometry import facing
 from aoabench.models.azel import AzEl
@@ -79,3 +80,20 @@ def test_azimuth_elevation_and_directions_agree_far_from_the_poles():
     anchors = Anchors(np.array([[[-9.0, 0, 0], [0, -9.0, 0]]]), np.tile(np.eye(3), (1, 2, 1, 1)))
     J = azel_information(np.zeros(3), anchors, 0.01, 0.01)
     assert np.allclose(direction_information(np.zeros(3), anchors, 1e4), J, rtol=2e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("noise", ["ae_normal", "vmf"])
+@pytest.mark.parametrize("scenario", ["bs_grid", "square_track"])
+def test_every_scenario_has_its_bound(scenario, noise):
+    """By the noise's own information; with sigma = 1 deg the two kinds of noise allow the same within a third."""
+    names = "estimator=[ls]" if scenario == "bs_grid" else "filter=[ekf_vmf]"
+    cell = compose_cells([f"scenario={scenario}", f"noise={noise}", names, "noise.sigma_deg=1"])[0]
+    points = cell.scenario.truth(np.random.default_rng(0))[:, :3]
+    bound = crb(cell.noise.information(points, cell.scenario.known_anchors))
+    sigma = np.deg2rad(1.0)
+    away = np.isfinite(bound).all((-1, -2))
+    assert away.mean() > (0.99 if scenario == "bs_grid" else 0.4)  # on the square's pole lines azimuth tells everything
+    vmf = crb(direction_information(points, cell.scenario.known_anchors, 1 / sigma**2))
+    if scenario == "bs_grid":
+        ratio = np.sqrt(np.trace(bound, axis1=-2, axis2=-1) / np.trace(vmf, axis1=-2, axis2=-1))
+        assert np.all((ratio > 0.66) & (ratio < 1.5))

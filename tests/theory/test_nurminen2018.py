@@ -222,7 +222,7 @@ def test_turning_anchor_frames_leaves_vmf_filters_alone_and_changes_ae_filters()
         c = compose_cells(["noise=vmf", f"filter=[{','.join(names)}]", f"scenario.anchors.frame_rpy_deg={turn}"])
         assert len(c) == 1
         rows = run_block(c[0].scenario, c[0].noise, c[0].estimators, 1, 0, 512)
-        rmse[turn] = {name: r["rmse_3d_m"] for name, (r, _) in rows.items()}
+        rmse[turn] = {name: block["rows"]["rmse_3d_m"] for name, block in rows.items()}
     for turn in ("[30,40,50]", "[90,0,0]"):
         for name in names:
             change = paired(rmse[turn][name], rmse["[0,0,0]"][name]).percent

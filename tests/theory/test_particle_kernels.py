@@ -317,7 +317,7 @@ def test_rmse_agrees_with_the_reference_on_200_paired_replications(name):
     one = next(iter(cell.estimators.values()))
     both = {engine: replace(one, engine=engine, particles=1000) for engine in ("auto", "numpy")}
     blocks = montecarlo.run_block(cell.scenario, cell.noise, both, 1, 0, 200)
-    d = blocks["auto"][0]["rmse_3d_m"] - blocks["numpy"][0]["rmse_3d_m"]
+    d = blocks["auto"]["rows"]["rmse_3d_m"] - blocks["numpy"]["rows"]["rmse_3d_m"]
     assert abs(d.mean()) < 3.9 * d.std(ddof=1) / np.sqrt(len(d))
     assert d.std() > 0
 
@@ -334,7 +334,7 @@ def test_single_precision_is_not_seen_beside_the_monte_carlo_error(name):
     one = next(iter(cell.estimators.values()))
     both = {engine: replace(one, engine=engine, particles=1000) for engine in ("auto", "double")}
     blocks = montecarlo.run_block(cell.scenario, cell.noise, both, 1, 0, 300)
-    fast, exact = (blocks[engine][0]["rmse_3d_m"] for engine in both)
+    fast, exact = (blocks[engine]["rows"]["rmse_3d_m"] for engine in both)
     d = fast - exact
     assert abs(d.mean()) + 3 * d.std(ddof=1) / np.sqrt(300) < 0.1 * exact.std() / np.sqrt(1000)
 

@@ -142,6 +142,21 @@ def test_rank_deficient_geometry_fails_that_fix_alone(engine, azimuth):
                 assert np.allclose(found.position[0, 1], [4, 1, 2], atol=1e-6)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_identical_anchors_fail_with_noise_too(engine, rng):
+    """All planes pass through the one place; taking their intersection for a fix would answer the anchors' position."""
+    anchors = Anchors(np.tile([[[3.0, 4, 5], [3.0, 4, 5], [3.0, 4, 5], [90.0, 0, 0]]], 1), np.tile(np.eye(3), (1, 4, 1, 1)))
+    batch = exact(rng.uniform(-9, 9, (30, 3)), anchors)
+    azimuth, elevation = (a + 0.05 * rng.normal(size=a.shape) for a in (batch.azimuth, batch.elevation))
+    azimuth[0, :10, 3] = elevation[0, :10, 3] = np.nan  # the one that stands elsewhere
+    batch = replace(batch, azimuth=azimuth, elevation=elevation)
+    for estimator in (LeastSquares(engine=engine), GaussNewton(engine=engine)):
+        found = estimator(batch, None, None)
+        assert np.all(found.outcome[0, :10] == Outcome.FAILED)
+        assert np.all(np.isnan(found.position[0, :10]))
+        assert np.all(found.outcome[0, 10:] != Outcome.FAILED)
+
+
 def test_solve_is_numpy_solve(rng):
     A = rng.normal(size=(100, 5, 3))
     A, g = np.swapaxes(A, 1, 2) @ A, rng.normal(size=(100, 3))
