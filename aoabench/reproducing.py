@@ -62,13 +62,14 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
     out = results / "raw" / s.name  # one folder a study: what two items need is computed once
     cells = compose_cells([f"experiment={item.experiment}", *item.scale[scale], f"runner.out={out}"])
     runner.run(cells)
+    origin = {"experiment": item.experiment, "cells": [c.config for c in cells]}
+    if item.reads == "fixes":
+        found = ((c, {name: tables.fixes(out, c.id, name) for name in c.estimators}) for c in cells)
+        return reduce(found), origin
     frame = tables.load(out)
     wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
     reps = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
-    return reduce(frame[frame["replication"] < reps]), {
-        "experiment": item.experiment,
-        "cells": [c.config for c in cells],
-    }
+    return reduce(frame[frame["replication"] < reps]), origin
 
 
 def draw(names: Sequence[str], results: Path, echo: Echo, only: set[str] | None = None) -> None:

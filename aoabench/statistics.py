@@ -263,6 +263,8 @@ def verdict(
     tolerance = 1e-9 * max(abs(low) if math.isfinite(low) else 0, abs(high) if math.isfinite(high) else 0)
     if strict:
         slack = -slack
+    if strict and ours.value in (low, high):  # not by any margin, even where there is no error at all
+        return IN_KIND if in_kind else NOT_REPRODUCIBLE
     if low - slack - tolerance <= ours.value <= high + slack + tolerance:
         return REPRODUCED
     return IN_KIND if in_kind else NOT_REPRODUCIBLE

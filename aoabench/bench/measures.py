@@ -161,19 +161,30 @@ def generality(repeats: int) -> Iterator[Row]:
     four = _four_anchors(K)
     rng = np.random.default_rng(0)
     M = -(-PARTICLES // K.TILE) * K.TILE
-    x, y, z = rng.standard_normal((3, M)).astype(np.float32)
+    particles = rng.standard_normal((3, M)).astype(np.float32)
+    x, y, z = particles
     terms, out = rng.random((4, K.TERMS), dtype=np.float32), np.empty(M, dtype=np.float32)
-    table = np.ones(362, dtype=np.float32)
-    found = in_turn(
-        {
-            "general": lambda: [K.loglik(K.UNIT_VECTOR, x, y, z, terms, table, out) for _ in range(100)],
-            "four": lambda: [four(x, y, z, terms, out) for _ in range(100)],
-        },
-        repeats,
-    )
-    how = "log likelihood (VMF) of 10 000 particles, the anchors' loop unrolled by hand against any number; in turn"
-    ns = {name: 1e9 * seconds / 100 / PARTICLES for name, seconds in found.items()}
-    yield Row("cost of generality", "likelihood, 4 anchors", ns["general"] - ns["four"], "ns", "", how)
+    table, w, children = np.ones(362, dtype=np.float32), rng.random(M, dtype=np.float32), np.empty_like(particles)
+    w[PARTICLES:] = 0
+    scratch = np.empty(M), np.empty(M, dtype=np.int32), np.empty(M + 1, dtype=np.float32)
+
+    def hundred(action: Callable[..., Any], *given: Any) -> Callable[[], Any]:
+        return lambda: [action(*given) for _ in range(100)]
+
+    models = {"VMF": K.UNIT_VECTOR, "AE": K.AZEL, "AE-adaptive": K.AZEL_ADAPTIVE}
+    actions = {
+        "normals": hundred(K.normals, children, 1, 2, 3, 4),
+        **{f"likelihood, {name}": hundred(K.loglik, kind, x, y, z, terms, table, out) for name, kind in models.items()},
+        "resampling": hundred(K.resample, w, PARTICLES, 0.3, *scratch, particles, children),
+        "four": hundred(four, x, y, z, terms, out),
+    }
+    ns = {name: 1e9 * seconds / 100 / PARTICLES for name, seconds in in_turn(actions, repeats).items()}
+    how = "a kernel alone on 10 000 particles, 4 anchors; normals are drawn once for all filters of a replication, and "
+    how += "resampling happens in a third (VMF) to two thirds (AE-nominal) of the steps"
+    for name in list(actions)[:-1]:
+        yield Row("part of a particle-step", name, ns[name], "ns", "", how)
+    how = "log likelihood (VMF): any number of anchors, against their loop unrolled by hand for four"
+    yield Row("cost of generality", "4 anchors", 100 * (ns["likelihood, VMF"] / ns["four"] - 1), "%", "", how)
 
 
 def _four_anchors(K: Any) -> Callable[..., None]:
@@ -227,6 +238,50 @@ def precision(repeats: int) -> Iterator[Row]:
                 found.append((mean + 3 * se, f"{how} {mean:.2g} +- {se:.1g}"))
             value, says = max(found)
             yield Row("single precision", name, value, "s.e.", "at most 0.1", says)
+
+
+def snapshot(repeats: int) -> Iterator[Row]:
+    """Fixes per second of the snapshot estimators, start included; one fix alone; against NumPy and SciPy."""
+    from scipy.optimize import least_squares
+
+    from aoabench.geometry import wrap
+    from aoabench.models.azel import AzEl
+
+    names = ["ls", "ml_arctan", "ml_atan2", "ml_kcorr"]
+    cell = compose_cells(
+        ["scenario=bs_grid", "noise=ae_normal", "noise.sigma_deg=2", f"estimator=[{','.join(names)}]"]
+    )[0]
+    laps = {name: (_Laps(cell, name, tiles=8), _Laps(cell, name, "numpy", tiles=8)) for name in names}
+    actions: dict[str, Callable[[], Any]] = {}
+    for name, (fast, slow) in laps.items():
+        actions[name], actions[name + " numpy"] = fast, slow
+    truth, batch = montecarlo.Draws(cell.scenario, cell.noise, cell.seed).tile(0, 1)
+    angles = {f: getattr(batch, f)[:, :1] for f in ("azimuth", "elevation", "azimuth_sigma", "elevation_sigma")}
+    alone, estimator, streams = replace(batch, **angles), cell.estimators["ml_kcorr"], laps["ls"][0].streams[0]
+    actions["alone"] = lambda: [estimator(alone, cell.scenario, streams) for _ in range(100)]
+    h, anchors = AzEl(1.0), cell.scenario.known_anchors
+    y = np.stack([batch.azimuth[0], batch.elevation[0]], axis=-1).reshape(truth.shape[1], -1)
+    begin = replace(cell.estimators["ls"])(batch, cell.scenario, streams).position[0]
+
+    def scipys() -> None:
+        for i in range(20):
+            least_squares(lambda x, i=i: wrap(y[i] - h.predict(x[None], anchors)[0]), begin[i], method="lm", xtol=1e-5)
+
+    actions["scipy"] = scipys
+    found = in_turn(actions, repeats)
+    how = (
+        f"median of {repeats}, in turn; 1000 positions, 12 base stations, 2 deg; one core, least-squares start included"
+    )
+    for name, (fast, _) in laps.items():
+        rate, numpy_rate = fast.steps / found[name], fast.steps / found[name + " numpy"]
+        yield Row("fixes per second", name, rate, "/s", "at least 300000" if name == "ml_kcorr" else "", how)
+        yield Row("fixes per second in NumPy", name, numpy_rate, "/s", "", how)
+    us = {"ml_kcorr": 1e6 * found["ml_kcorr"] / laps["ml_kcorr"][0].steps, "scipy": 1e6 * found["scipy"] / 20}
+    yield Row(
+        "one fix", "ml_kcorr", 1e6 * found["alone"] / 100, "us", "at most 50", "a batch of one; median of 100 calls"
+    )
+    other = "Levenberg-Marquardt (MINPACK) on our residual, fix by fix, from the same start"
+    yield Row("against SciPy", "ml_kcorr", us["scipy"] / us["ml_kcorr"], "x", "", other)
 
 
 def start(repeats: int) -> Iterator[Row]:
@@ -332,4 +387,4 @@ def _command(words: list[str], repeats: int, environment: dict[str, str] | None 
     return statistics.median(seconds)
 
 
-ALL = (kalman, particle, generality, start, interrupt, scaling, memory, studies, precision)
+ALL = (kalman, particle, snapshot, generality, start, interrupt, scaling, memory, studies, precision)

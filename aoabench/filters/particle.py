@@ -88,11 +88,19 @@ class ParticleFilter:
         return Estimates(position, np.stack(covariances), None, outcome)
 
     def _replication(
-        self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, rng: Any, chosen: Array | None = None
+        self,
+        batch: Batch,
+        i: int,
+        F: Array,
+        Q: Array,
+        Y: Array,
+        quality: Array,
+        rng: Any,
+        chosen: np.ndarray | None = None,
     ) -> tuple[Array, Array, np.ndarray]:
         """One replication in NumPy: means (T, 3), covariances (T, 3, 3), outcomes (T,) from Y, quality (T, m).
 
-        `chosen` (T, 2, N): parents that somebody else chose by weights q, -1 where nobody did; children have w / q left.
+        `chosen` (T, 2, N): parents that somebody else chose by weights q, -1 where nobody did; children keep w / q.
         """
         assert batch.prior_mean is not None
         assert batch.prior_cov is not None
@@ -132,7 +140,7 @@ class ParticleFilter:
         Y: Array,
         quality: Array,
         streams: Streams,
-        chosen: Array | None = None,
+        chosen: np.ndarray | None = None,
     ) -> tuple[Array, Array, np.ndarray]:
         """The same by the kernel, relative to the prior's mean; `chosen` as above, to be filled in."""
         assert batch.prior_mean is not None
@@ -158,7 +166,6 @@ class ParticleFilter:
             np.empty((0, 2, self.particles), dtype=np.float32) if chosen is None else chosen,
         )
         return out[:, :3] + origin, out[:, 3:12].reshape(T, 3, 3), np.full(T, Outcome.OK, dtype=np.int8)
-
 
     def _along_the_kernel(
         self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, streams: Streams

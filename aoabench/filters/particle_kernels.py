@@ -422,8 +422,8 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
 
     `terms` (T, B, TERMS) and `table` as for `loglik`; positions relative to the prior's mean, with theta = F theta + b
     + n. `noise` (T + 1, 3, M), M the padded N, holds the normals of the prior and of each step; with (1, 3, M) they are
-    drawn here. `chosen` (T, 2, N) receives, at each step that ends in resampling, every particle's parent and the weights
-    that it was chosen by; with (0, 2, N) nobody asks.
+    drawn here. `chosen` (T, 2, N) receives, at each step that ends in resampling, every particle's parent and the
+    weights that parents were chosen by; with (0, 2, N) nobody asks.
     """
     M = noise.shape[2]
     T = terms.shape[0]

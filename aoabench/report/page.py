@@ -53,5 +53,17 @@ def _study(study: studies.Study, rows: list[dict[str, Any]], results: Path) -> d
                 "command": f"aoabench reproduce {study.name} --only {item.name}",
             }
         )
+    found: dict[str, Any] = {}
+    for item in study.items if any("effect" in e for e in study.errata) else ():
+        found |= studies.values(study, item, results)
+    errata = [{**e, "effect_text": _effect(e.get("effect"), found)} for e in study.errata]
     readme = (study.folder / "README.md").read_text(encoding="utf-8")
-    return {"study": study, "items": items, "readme": readme}
+    return {"study": study, "items": items, "readme": readme, "errata": errata}
+
+
+def _effect(effect: dict[str, str] | None, found: dict[str, Any]) -> str:
+    """What an erratum does, in words and a number of ours; nothing if it says none or was not computed."""
+    if effect is None or effect["id"] not in found:
+        return ""
+    ours = found[effect["id"]][0]
+    return f"{effect['says']}: {studies.number_text(ours.value, ours.se)} {effect['unit']}".strip()

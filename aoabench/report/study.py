@@ -31,6 +31,7 @@ class Item:
     figure: bool = True
     experiment: str | None = None
     scale: Any = None  # quick, medium and paper: the overrides of an item with an experiment
+    reads: str = "replications"  # what its function gets: their tidy frame, or (cell, {estimator: fixes}) of each cell
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,8 @@ def _judge(study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate,
         if doubt:
             reason = doubt
             verdict = statistics.NOT_REPRODUCIBLE if verdict == statistics.REPRODUCED else verdict
+    if ours is not None and "tie" in entry and abs(ours.value) + z * ours.se <= entry["tie"]:
+        verdict, reason = statistics.IN_KIND, f"a tie: within ± {entry['tie']:g} {entry.get('unit', '')}".strip()
     return {
         "study": study.name,
         "item": entry["item"],

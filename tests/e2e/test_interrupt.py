@@ -39,8 +39,7 @@ def test_interrupted_runs_leave_whole_parts_and_go_on(backend, tmp_path):
     assert process.returncode == 130
     assert "Traceback" not in said
     found = {
-        f.name: [(p.start, p.stop) for p in store.intact_parts(tmp_path, f.name)]
-        for f in tmp_path.glob("parts/*")
+        f.name: [(p.start, p.stop) for p in store.intact_parts(tmp_path, f.name)] for f in tmp_path.glob("parts/*")
     }
     assert 0 < sum(b - a for parts in found.values() for a, b in parts) < 400
     before = {f: f.stat().st_mtime_ns for f in tmp_path.glob("parts/*/*.parquet")}

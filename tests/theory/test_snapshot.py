@@ -127,6 +127,23 @@ def test_errata_as_printed_do_harm():
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+def test_iterations_that_leave_every_bound_diverge(engine):
+    """L5: divergence and oscillation return the start and are told apart; nothing is NaN."""
+    _, _, batch = grid(15.0, 4)
+    found, start = (
+        GaussNewton("atan2", engine=engine, updates=200)(batch, None, None),
+        LeastSquares(engine=engine)(batch, None, None),
+    )
+    for outcome in (Outcome.DIVERGED, Outcome.OSCILLATED):
+        some = found.outcome == outcome
+        assert some.sum() > 20
+        assert np.allclose(found.position[some], start.position[some])
+    assert np.all(found.iterations[found.outcome == Outcome.OSCILLATED] == 200)
+    assert np.all(found.iterations[found.outcome == Outcome.DIVERGED] < 200)
+    assert np.all(np.isfinite(found.position))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("azimuth", AZIMUTHS)
 def test_rank_deficient_geometry_fails_that_fix_alone(engine, azimuth):
     """One anchor, identical anchors, anchors in line with the target: failed, NaN; the fix beside it is fine."""
@@ -145,7 +162,9 @@ def test_rank_deficient_geometry_fails_that_fix_alone(engine, azimuth):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_identical_anchors_fail_with_noise_too(engine, rng):
     """All planes pass through the one place; taking their intersection for a fix would answer the anchors' position."""
-    anchors = Anchors(np.tile([[[3.0, 4, 5], [3.0, 4, 5], [3.0, 4, 5], [90.0, 0, 0]]], 1), np.tile(np.eye(3), (1, 4, 1, 1)))
+    anchors = Anchors(
+        np.tile([[[3.0, 4, 5], [3.0, 4, 5], [3.0, 4, 5], [90.0, 0, 0]]], 1), np.tile(np.eye(3), (1, 4, 1, 1))
+    )
     batch = exact(rng.uniform(-9, 9, (30, 3)), anchors)
     azimuth, elevation = (a + 0.05 * rng.normal(size=a.shape) for a in (batch.azimuth, batch.elevation))
     azimuth[0, :10, 3] = elevation[0, :10, 3] = np.nan  # the one that stands elsewhere
