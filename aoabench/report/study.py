@@ -162,6 +162,8 @@ def _judge(study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate,
     strict, z, rounding = entry.get("strict", False), entry.get("z", 3.0), entry.get("rounding", 0.0)
     verdict = statistics.verdict(limits, rounding, ours, printed_se=sampling, in_kind=in_kind, strict=strict, z=z)
     reason = entry.get("reason", "") if verdict in (statistics.NOT_REPRODUCIBLE, statistics.IN_KIND) else ""
+    if ours is not None and ours.value == ours.value and ours.se != ours.se:
+        reason = "too few cases to tell a standard error"
     if ours is not None and limits is not None and verdict != statistics.NOT_COMPUTED:
         doubt = statistics.undecided(limits, rounding, ours, strict=strict, z=z)
         if doubt:
