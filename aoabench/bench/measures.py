@@ -164,7 +164,8 @@ def generality(repeats: int) -> Iterator[Row]:
     particles = rng.standard_normal((3, M)).astype(np.float32)
     x, y, z = particles
     terms, out = rng.random((4, K.TERMS), dtype=np.float32), np.empty(M, dtype=np.float32)
-    table, w, children = np.ones(362, dtype=np.float32), rng.random(M, dtype=np.float32), np.empty_like(particles)
+    table, w = np.ones(2 * K.PAIRS, dtype=np.float32), rng.random(M, dtype=np.float32)
+    children = np.empty_like(particles)
     w[PARTICLES:] = 0
     scratch = np.empty(M), np.empty(M, dtype=np.int32), np.empty(M + 1, dtype=np.float32)
 
@@ -220,7 +221,9 @@ def precision(repeats: int) -> Iterator[Row]:
     differs. The worse of the two data models counts, with three of the mean difference's own standard errors added.
     """
     reps = 200
-    how = f"mean difference + 3 of its s.e. from double precision on the same draws and parents, {reps} replications, in"
+    how = (
+        f"mean difference + 3 of its s.e. from double precision on the same draws and parents, {reps} replications, in"
+    )
     how += " s.e. of the RMSE at 1000; 10 000 particles, the worse data model; mean"
     with tempfile.TemporaryDirectory() as folder:
         for model in MODELS:
@@ -232,7 +235,8 @@ def precision(repeats: int) -> Iterator[Row]:
                 ]
                 runner.run(cells, progress=False)
                 frame = tables.load(Path(folder))
-                fast, exact = (frame[frame["cell"] == c.id].set_index("replication")["rmse_3d_m"] for c in cells)
+                frame = frame[frame["estimator"] == name].set_index("replication")
+                fast, exact = (frame.loc[frame["cell"] == c.id, "rmse_3d_m"] for c in cells)
                 unit, difference = exact.std() / math.sqrt(1000), fast - exact
                 mean, se = abs(difference.mean()) / unit, difference.std() / math.sqrt(reps) / unit
                 found.append((mean + 3 * se, f"{how} {mean:.2g} +- {se:.1g}"))

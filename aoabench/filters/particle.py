@@ -268,8 +268,12 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
 
 
 def weights_table(measurement: Measurement) -> np.ndarray:
-    """1 / (2 variance) of azimuth and elevation in turn, (362,) float32, at -90, -89 ... 90 degrees."""
-    return (0.5 / variances(measurement)).astype(np.float32).ravel()
+    """w = 1 / (2 variance) and then log(w) / 2, each of azimuth and elevation in turn, at -90, -89 ... 90 degrees.
+
+    (724,) float32.
+    """
+    w = (0.5 / variances(measurement)).ravel()
+    return np.concatenate([w, 0.5 * np.log(w)]).astype(np.float32)
 
 
 def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:

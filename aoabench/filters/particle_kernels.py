@@ -28,7 +28,8 @@ from numba.extending import intrinsic
 
 TILE = 256
 QUARTER = TILE // 4
-SCRATCH = 5 * TILE
+PAIRS = 2 * 181  # entries of the table for AZEL_ADAPTIVE, twice; see `loglik`
+SCRATCH = 8 * TILE
 UNIT_VECTOR, AZEL, AZEL_ADAPTIVE = range(3)  # measurement models
 NORMALS, TURNS = range(2)  # streams
 TERMS = 15  # columns of the table of coefficients; see `loglik`
@@ -114,7 +115,7 @@ def copy_pair(typingctx: Any, source: Any, i: Any, target: Any, k: Any) -> Any:
 
 # ---------------------------------------------------------------- polynomials, minimax over the range that is stated
 
-ZERO, HALF, ONE, TWO = f4(0.0), f4(0.5), f4(1.0), f4(2.0)
+ZERO, HALF, ONE, FOUR = f4(0.0), f4(0.5), f4(1.0), f4(4.0)
 LOWEST = f4(-40.0)  # smaller weights would not be seen beside the largest, 1, and their squares would be denormal
 HALF_PI, PI, LOG2, LOG2E = f4(math.pi / 2), f4(math.pi), f4(math.log(2.0)), f4(1.0 / math.log(2.0))
 TINY = f4(1e-30)  # m^2 or m: a particle on its anchor, or on its pole
@@ -246,15 +247,25 @@ def first_quadrant(y, x):
 
 
 @inlined
-def angles(x, y, z, t):
-    """|azimuth - measured| and elevation, in rad, of one particle in the turned frame of the anchor with terms t."""
-    px, py, pz = x - t[0], y - t[1], z - t[2]
-    u = t[3] * px + t[4] * py + t[5] * pz
-    v = t[6] * px + t[7] * py + t[8] * pz
-    w = t[9] * px + t[10] * py + t[11] * pz
-    a = first_quadrant(abs(v), abs(u))
-    e = first_quadrant(abs(w), math.sqrt(u * u + v * v))
-    return a if u >= ZERO else PI - a, math.copysign(e, w)
+def turned(x, y, z, t, out):
+    """One tile's particles in the turned frame of the anchor with terms t, into the first three tiles of out.
+
+    A loop of its own: together with `angles` its constants would not fit into the registers.
+    """
+    for i in range(TILE):
+        px, py, pz = x[i] - t[0], y[i] - t[1], z[i] - t[2]
+        out[i] = t[3] * px + t[4] * py + t[5] * pz
+        out[TILE + i] = t[6] * px + t[7] * py + t[8] * pz
+        out[2 * TILE + i] = t[9] * px + t[10] * py + t[11] * pz
+
+
+@inlined
+def angles(u, v, w):
+    """|azimuth - measured| / 2 and elevation, in rad, of one particle in the turned frame."""
+    rho = math.sqrt(u * u + v * v)
+    a = arctan(abs(v) / (rho + abs(u) + TINY))
+    e = first_quadrant(abs(w), rho)
+    return a if u >= ZERO else HALF_PI - a, math.copysign(e, w)
 
 
 @inlined
@@ -272,24 +283,29 @@ def loglik_tile(kind, x, y, z, terms, table, out, scratch):
                 ex, ey, ez = t[3] - px * inverse, t[4] - py * inverse, t[5] - pz * inverse
                 out[i] -= t[6] * (ex * ex + ey * ey + ez * ez)
         elif kind == AZEL:
+            turned(x, y, z, t, scratch)
+            wa = FOUR * t[13]
             for i in range(TILE):
-                a, e = angles(x[i], y[i], z[i], t)
+                a, e = angles(scratch[i], scratch[TILE + i], scratch[2 * TILE + i])
                 e -= t[12]
-                out[i] -= t[13] * a * a + t[14] * e * e
+                out[i] -= wa * a * a + t[14] * e * e
         else:
+            place = scratch[5 * TILE :]
+            turned(x, y, z, t, place)
             for i in range(TILE):
-                a, e = angles(x[i], y[i], z[i], t)
+                a, e = angles(place[i], place[TILE + i], place[2 * TILE + i])
                 scratch[i] = as_float(min(max(i4(np.rint(e * DEGREES + NINETY)), _0), _180))
                 e -= t[12]
-                scratch[TILE + i] = a * a
+                scratch[TILE + i] = FOUR * a * a
                 scratch[2 * TILE + i] = e * e
-            pairs = scratch[3 * TILE :]
+            weights, logs, half_logs = scratch[3 * TILE :], scratch[5 * TILE :], table[PAIRS:]
             for i in range(TILE):
-                copy_pair(table, as_int(scratch[i]), pairs, i)
+                copy_pair(table, as_int(scratch[i]), weights, i)
+                copy_pair(half_logs, as_int(scratch[i]), logs, i)
             for i in range(TILE):
-                wa, we = pairs[2 * i], pairs[2 * i + 1]
+                wa, we, la, le = weights[2 * i], weights[2 * i + 1], logs[2 * i], logs[2 * i + 1]
                 a2, e2 = scratch[TILE + i], scratch[2 * TILE + i]
-                out[i] += t[13] * (HALF * logarithm(wa) - wa * a2) + t[14] * (HALF * logarithm(we) - we * e2)
+                out[i] += t[13] * (la - wa * a2) + t[14] * (le - we * e2)
 
 
 @kernel("void(i8, f4[::1], f4[::1], f4[::1], f4[:,::1], f4[::1], f4[::1])")
@@ -301,8 +317,8 @@ def loglik(kind, x, y, z, terms, table, out):
     - UNIT_VECTOR: the measured direction in the global frame, kappa / 2
     - AZEL: the rotation into the anchor's frame turned by the measured azimuth, the measured elevation,
       1 / (2 variance) of azimuth and of elevation
-    - AZEL_ADAPTIVE: the same with 1 or 0 (measured or not) in place of these two; they stand in `table` (2 x 181), in
-      pairs for -90, -89 ... 90 degrees of elevation.
+    - AZEL_ADAPTIVE: the same with 1 or 0 (measured or not) in place of these two; they stand in `table` (4 x 181), in
+      pairs for -90, -89 ... 90 degrees of elevation, and after them half their logarithms.
     """
     tile, scratch = carray(stack(TILE), TILE), carray(stack(SCRATCH), SCRATCH)
     for o in range(0, len(x), TILE):
