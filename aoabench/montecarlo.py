@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from aoabench import metrics
-from aoabench.streams import ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, Streams, generator
+from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, Streams, generator
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome, UserError
 
 Rows = dict[str, np.ndarray]
@@ -60,7 +60,7 @@ class Draws:
             for f in fields(Measurements)
         }
         prior = drawn[0][2]
-        known: Anchors = self.scenario.known_anchors
+        known = self._known_anchors(range(start, start + size))
         batch = Batch(
             anchors=known,
             prior_mean=None if prior is None else np.stack([d[2][0] for d in drawn]),
@@ -68,10 +68,22 @@ class Draws:
             **measured,  # type: ignore[arg-type]
         )
         truth = np.stack([d[0] for d in drawn])
-        for shared in (truth, known.position, known.rotation, *(getattr(batch, f.name) for f in fields(batch))):
+        anchors = (known.position, known.rotation, known.position_sigma)
+        for shared in (truth, *anchors, *(getattr(batch, f.name) for f in fields(batch))):
             if isinstance(shared, np.ndarray):
                 shared.setflags(write=False)  # all estimators see the same
         return truth, batch
+
+    def _known_anchors(self, replications: range) -> Anchors:
+        true: Anchors = self.scenario.known_anchors
+        if not hasattr(self.noise, "known_anchors"):
+            return true
+        name = self.scenario.name
+        each = [self.noise.known_anchors(generator(self.seed, name, r, ANCHORS), self.scenario) for r in replications]
+        sigma = [a.position_sigma for a in each]
+        return Anchors(
+            np.concatenate([a.position for a in each]), true.rotation, None if sigma[0] is None else sigma[0]
+        )
 
 
 def run_block(

@@ -90,8 +90,9 @@ def draws_key(cell: Any) -> str:
         "scenario": cell.config["scenario"],
         "noise": cell.config["noise"],
         "seed": cell.seed,
+        "files": [_checksum(path) for o in (cell.scenario, cell.noise) for path in getattr(o, "files", ())],
         "source": source_hash({"aoabench.montecarlo", *_modules([cell.scenario, cell.noise])}, cell.plugins),
-        "versions": {name: version(name) for name in ("numpy", "scipy", "numba")},
+        "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "shapely")},
     })  # fmt: skip
 
 

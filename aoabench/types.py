@@ -85,18 +85,23 @@ def check_array(key: str, value: object, shape: tuple[int | None, ...]) -> Array
 
 @dataclass(frozen=True)
 class Anchors:
-    """Anchors as an estimator knows them: position (R|1, B, 3) m, rotation (R|1, B, 3, 3) global -> anchor frame."""
+    """Anchors as an estimator knows them: position (R|1, B, 3) m, rotation (R|1, B, 3, 3) global -> anchor frame.
+
+    position_sigma (R|1, B, 3) m: stated deviations of the positions; None where they are exact.
+    """
 
     position: Array
     rotation: Array
+    position_sigma: Array | None = None
 
     def of(self, i: int) -> Anchors:
         """The anchors (1, B, ...) of the i-th replication."""
-        one = slice(i, i + 1)
-        return Anchors(
-            self.position if len(self.position) == 1 else self.position[one],
-            self.rotation if len(self.rotation) == 1 else self.rotation[one],
-        )
+
+        def one(a: Array) -> Array:
+            return a if len(a) == 1 else a[i : i + 1]
+
+        sigma = None if self.position_sigma is None else one(self.position_sigma)
+        return Anchors(one(self.position), one(self.rotation), sigma)
 
 
 @dataclass(frozen=True)
@@ -155,7 +160,11 @@ class Motion(Protocol):
 
 
 class Scenario(Protocol):
-    """Where things are and how the target moves. `name` keys the random streams; state[:3] is the position in m."""
+    """Where things are and how the target moves. `name` keys the random streams; state[:3] is the position in m.
+
+    Optional: `same_truth` (all replications share their true positions), `files` (paths that it read: results are keyed
+    on their content), `reported(points (T, 3)) -> (T, B)` (which anchors measure).
+    """
 
     @property
     def name(self) -> str: ...
@@ -176,7 +185,11 @@ class Scenario(Protocol):
 
 
 class Noise(Protocol):
-    """How true geometry becomes measurements."""
+    """How true geometry becomes measurements.
+
+    An optional method `known_anchors(rng, scenario) -> Anchors` (1, B, ...) says how an estimator knows the anchors in
+    one replication; without it they are the scenario's `known_anchors`.
+    """
 
     def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
         """Measurements of one replication from its true states (T, n)."""

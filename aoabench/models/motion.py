@@ -24,3 +24,26 @@ class RandomWalk:
     def matrices(self, dt: float) -> tuple[Array, Array]:
         """F (3, 3) and Q (3, 3) m^2 for a step of dt s."""
         return np.eye(3), dt * np.diag([self.q_xy**2, self.q_xy**2, self.q_z**2])
+
+
+@dataclass(frozen=True)
+class ConstantAcceleration:
+    """s_k = F s_{k-1} + w, w ~ N(0, Q), of the state x, y, z, vx, vy, vz, ax, ay, az [Lu 2019, (15), (19)].
+
+    The acceleration is a Wiener process: the jerk is white with the spectral density `q` in m^2/s^5 in each direction.
+    """
+
+    q: float
+
+    def __post_init__(self) -> None:
+        check_number("q", self.q, above=0, most=1e6)
+
+    def matrices(self, dt: float) -> tuple[Array, Array]:
+        """F (9, 9) and Q (9, 9) for a step of dt s; positions in m, velocities in m/s, accelerations in m/s^2."""
+        F = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
+        Q = np.array([
+            [dt**5 / 20, dt**4 / 8, dt**3 / 6],
+            [dt**4 / 8, dt**3 / 3, dt**2 / 2],
+            [dt**3 / 6, dt**2 / 2, dt],
+        ])  # fmt: skip
+        return np.kron(F, np.eye(3)), self.q * np.kron(Q, np.eye(3))

@@ -68,6 +68,9 @@ class _Angular:
         azimuth, elevation = (a[0] for a in to_azel(*in_frames(truth[None, :, :3], anchors.position, anchors.rotation)))
         azimuth, elevation = self.perturb(rng, azimuth, elevation)
         quality = np.full(azimuth.shape, self.sigma)
+        if hasattr(scenario, "reported"):
+            silent = ~scenario.reported(truth[:, :3])
+            azimuth, elevation = (np.where(silent, np.nan, a) for a in (azimuth, elevation))
         return Measurements(azimuth, elevation, azimuth_sigma=quality, elevation_sigma=quality)
 
     def fitted(self) -> tuple[float, float]:

@@ -1,0 +1,52 @@
+"""Weighted centroid geometric (WCG) positioning: each access node (AN) gives a position [Lu 2019, (12)-(14)].
+
+p_m = s_m + c tau_m R_m^T (cos e cos a, cos e sin a, sin e),    p = sum w_m p_m / sum w_m,    w_m = 1 / var(tau_m)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from aoabench.geometry import to_unit
+from aoabench.streams import Streams
+from aoabench.types import BadValue, Batch, Estimates, Outcome
+
+LIGHT = 299_792_458.0  # m/s
+
+
+@dataclass(frozen=True)
+class WeightedCentroid:
+    """`as_printed`: the measured azimuth, which includes the array's orientation, is not freed from it in (12) [U5]."""
+
+    as_printed: bool = False
+    tile: ClassVar[int] = 8
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.as_printed, bool):
+            raise BadValue("as_printed", self.as_printed, "true or false")
+
+    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+        """One position per fix; `failed` where no AN measured a time and both angles."""
+        if batch.delay is None or batch.delay_sigma is None:
+            raise BadValue("estimator", "wcg", "a noise that measures times of arrival: ofdm_crlb")
+        R, T, B = batch.azimuth.shape
+        usable = np.isfinite(batch.azimuth) & np.isfinite(batch.elevation) & np.isfinite(batch.delay)
+        r, k, b = np.nonzero(usable & (batch.delay_sigma > 0))
+        azimuth = batch.azimuth[r, k, b]
+        rotation = batch.anchors.rotation[0, b]
+        if self.as_printed:  # the orientation twice: once in the angle, once in what is done with it
+            azimuth = azimuth + np.arctan2(rotation[:, 0, 1], rotation[:, 0, 0])
+        local = LIGHT * batch.delay[r, k, b, None] * to_unit(azimuth, batch.elevation[r, k, b])
+        s = batch.anchors.position
+        p = s[r if len(s) > 1 else 0, b] + (local[:, None, :] @ rotation)[:, 0]
+        w = 1.0 / np.square(batch.delay_sigma[r, k, b])
+        fix = r * T + k
+        total = np.bincount(fix, w, R * T)
+        sums = np.stack([np.bincount(fix, w * p[:, i], R * T) for i in range(3)], axis=-1)
+        with np.errstate(invalid="ignore"):
+            position = (sums / total[:, None]).reshape(R, T, 3)
+        outcome = np.where(np.isfinite(position).all(-1), Outcome.OK, Outcome.FAILED).astype(np.int8)
+        return Estimates(position, None, None, outcome)

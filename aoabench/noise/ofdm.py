@@ -1,0 +1,145 @@
+"""Time and angles of arrival of OFDM pilots at antenna arrays, at their Cramér-Rao bounds [Lu 2019, II].
+
+    RSS [dBm]    P_T - PL(d) + S + G_R,    PL = 32.4 + 17.3 log10(d / m) + 20 log10(f_c / GHz)       (1), InH LoS
+    time         sigma^2 = 3 P_n / (8 pi^2 f_sc^2 P_r M (M + 1) (2 M + 1)),    M = (N_u - 1) / 2      (4)
+    angle        sigma^2 = 6 P_n / (L (L^2 - 1) P_e (pi cos a)^2)                                     (8)
+
+with P_r the received power after beamforming and P_e = P_r / G_R that of one element: (8) counts the array's gain
+itself (erratum U6). The angle a off broadside is the azimuth for the azimuth, the elevation for the elevation (U5).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from aoabench.geometry import Array, in_frames, to_azel, wrap
+from aoabench.types import Anchors, BadValue, Measurements, check_choice, check_number
+
+LIGHT = 299_792_458.0  # m/s
+PRINTED = ("gain",)  # errata that can be run as printed
+NEAREST = 1.0  # m; the path loss model does not know anything nearer
+
+
+@dataclass(frozen=True)
+class OfdmCrlb:
+    """What access nodes (ANs) measure of a robot's pilots, and how well they are known themselves.
+
+    An AN's frame has its array's broadside as x and up as z. `an_sigma_m` is the deviation of the known position in x
+    and in y, `an_sigma_m / an_beta` in z; drawn once per replication, for each AN (`independent`) or one for all
+    (`common`). `as_printed: [gain]` takes the beamforming gain into (8) a second time.
+    """
+
+    carrier_ghz: float = 39.0
+    subcarrier_khz: float = 120.0
+    subcarriers: int = 1024
+    power_dbm: float = 27.0
+    array_gain_db: float = 20.0
+    elements: int = 10
+    noise_dbm: float = -84.0
+    shadowing_db: float = 3.0
+    shadowing_m: float = 10.0
+    cosine_floor: float = 0.02
+    clock_ns: float = 10.0
+    an_sigma_m: float = 0.0
+    an_beta: float = 10.0
+    an_error: str = "independent"
+    as_printed: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        for key in ("carrier_ghz", "subcarrier_khz", "an_beta"):
+            check_number(key, getattr(self, key), above=0, most=1e6)
+        check_number("subcarriers", self.subcarriers, least=2, most=10_000_000, integer=True)
+        check_number("elements", self.elements, least=2, most=100_000, integer=True)
+        for key in ("power_dbm", "array_gain_db", "noise_dbm"):
+            check_number(key, getattr(self, key), least=-300, most=300)
+        check_number("shadowing_db", self.shadowing_db, least=0, most=100)
+        check_number("shadowing_m", self.shadowing_m, least=0, most=1e6)
+        check_number("cosine_floor", self.cosine_floor, above=0, most=1)
+        check_number("clock_ns", self.clock_ns, least=0, most=1e9)
+        check_number("an_sigma_m", self.an_sigma_m, least=0, most=1e6)
+        check_choice("an_error", self.an_error, ("independent", "common"))
+        for flag in self.as_printed:
+            check_choice("as_printed", flag, PRINTED)
+        if isinstance(self.as_printed, str):
+            raise BadValue("as_printed", self.as_printed, f"a list of {', '.join(PRINTED)}")
+
+    # --- the link -----------------------------------------------------------------------------------------------------
+
+    def path_loss(self, distance: Array) -> Array:
+        """Path loss (...) dB over distances (...) m: 3GPP indoor hotspot, line of sight [TR 38.900, table 7.4.1-1]."""
+        d = np.maximum(distance, NEAREST)
+        return 32.4 + 17.3 * np.log10(d) + 20.0 * math.log10(self.carrier_ghz)
+
+    def rss(self, distance: Array, shadowing: Array | float = 0.0) -> Array:
+        """Received power (...) dBm after beamforming [(1)]."""
+        return self.power_dbm - self.path_loss(distance) + shadowing + self.array_gain_db
+
+    def delay_sigma(self, rss: Array) -> Array:
+        """Deviation (...) s of the time of arrival by noise alone [(4)]."""
+        M = 0.5 * (self.subcarriers - 1)
+        snr = 10.0 ** (0.1 * (rss - self.noise_dbm))
+        width = 8.0 * math.pi**2 * (1e3 * self.subcarrier_khz) ** 2 * M * (M + 1) * (2 * M + 1)
+        return np.sqrt(3.0 / (width * snr))
+
+    def angle_sigma(self, rss: Array, off_broadside: Array) -> Array:
+        """Deviation (...) rad of an angle off broadside (...) rad [(8)]; its cosine is kept above `cosine_floor`."""
+        element = rss if "gain" in self.as_printed else rss - self.array_gain_db
+        snr = 10.0 ** (0.1 * (element - self.noise_dbm))
+        cosine = np.maximum(np.abs(np.cos(off_broadside)), self.cosine_floor)
+        L = self.elements
+        return np.sqrt(6.0 / (L * (L**2 - 1) * snr)) / (math.pi * cosine)
+
+    # --- one replication ----------------------------------------------------------------------------------------------
+
+    def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
+        """Measurements (T, B) of true states (T, n) by the ANs that the scenario lets report, NaN elsewhere."""
+        anchors, points = scenario.known_anchors, truth[:, :3]
+        shape = (len(points), anchors.position.shape[1])
+        reported = scenario.reported(points) if hasattr(scenario, "reported") else np.ones(shape, dtype=bool)
+        step, b = np.nonzero(reported)
+        one = Anchors(anchors.position[0, b][:, None], anchors.rotation[0, b][:, None])
+        local = (a[:, 0] for a in in_frames(points[step], one.position, one.rotation))
+        x, y, z = local
+        distance = np.sqrt(x * x + y * y + z * z)
+        azimuth, elevation = to_azel(x, y, z)
+        rss = self.rss(distance, self.shadowing(rng, points)[step])
+        sigma = [self.angle_sigma(rss, azimuth), self.angle_sigma(rss, elevation)]
+        clock = 1e-9 * self.clock_ns
+        sigma.append(np.hypot(self.delay_sigma(rss), clock))
+        e = rng.standard_normal((3, len(step)))
+        values = {
+            "azimuth": wrap(azimuth + sigma[0] * e[0]), "elevation": elevation + sigma[1] * e[1],
+            "delay": distance / LIGHT + sigma[2] * e[2], "rssi": rss,
+            "azimuth_sigma": sigma[0], "elevation_sigma": sigma[1], "delay_sigma": sigma[2],
+        }  # fmt: skip
+        dense = {}
+        for name, value in values.items():
+            dense[name] = np.full(shape, np.nan)
+            dense[name][step, b] = value
+        return Measurements(**dense)
+
+    def shadowing(self, rng: np.random.Generator, points: Array) -> Array:
+        """Shadow fading (T,) dB at positions (T, 3) m: normal; correlation exp(-distance / shadowing_m) in steps."""
+        e = rng.standard_normal(len(points))
+        if self.shadowing_m > 0:
+            apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
+            keep = np.exp(-apart / self.shadowing_m)
+            fresh = np.sqrt(1.0 - keep**2)
+            for k in range(1, len(e)):
+                e[k] = keep[k - 1] * e[k - 1] + fresh[k - 1] * e[k]
+        return self.shadowing_db * e
+
+    def known_anchors(self, rng: np.random.Generator, scenario: Any) -> Anchors:
+        """The ANs as the filters know them, (1, B, ...): the true ones with this replication's errors [(9), (10)]."""
+        true: Anchors = scenario.known_anchors
+        deviation = self.an_sigma_m * np.array([1.0, 1.0, 1.0 / self.an_beta])
+        shape = true.position.shape if self.an_error == "independent" else (1, 1, 3)
+        error = deviation * rng.standard_normal(shape)
+        return replace(
+            true, position=true.position + error, position_sigma=np.broadcast_to(deviation, true.position.shape)
+        )

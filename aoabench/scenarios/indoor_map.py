@@ -1,0 +1,187 @@
+"""A robot on a route through walled corridors, seen by access nodes (ANs) on the walls [Lu 2019, V-A]."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from aoabench.geometry import Array
+from aoabench.models.motion import ConstantAcceleration
+from aoabench.scenarios import plan
+from aoabench.scenarios.route import RoundedRoute
+from aoabench.types import Anchors, BadValue, check_array, check_choice, check_number
+
+MOST_STEPS = 1_000_000
+
+
+@dataclass(frozen=True)
+class IndoorMap:
+    """One trial: the route once, at constant horizontal speed, its corners rounded to arcs, its height linear.
+
+    `anchors` and `walls` are files (see `plan`). Of the ANs in line of sight (seen from above) the network reports the
+    `nearest` so many, by true distance, which are also the strongest; null: all. Filters believe `motion` and start
+    from a mean drawn around the true start (position) or zero (velocity, acceleration), with the deviations
+    `prior_sigma_*`. With `truth_from: model` there is no route to follow: the true states are drawn from that prior, at
+    the first waypoint, and from `motion`, so that everything a filter believes is true.
+    """
+
+    name: str
+    anchors: str
+    route: Sequence[Sequence[float]]
+    motion: ConstantAcceleration
+    walls: str | None
+    corner_radius_m: float = 2.0
+    speed_m_s: float = 1.1
+    height_m: tuple[float, float] = (1.0, 2.0)
+    dt: float = 0.1
+    nearest: int | None = 8
+    prior_sigma_xy_m: float = 1.0
+    prior_sigma_z_m: float = 0.1
+    prior_sigma_velocity_m_s: float = 1.0
+    prior_sigma_acceleration_m_s2: float = 0.5
+    truth_from: str = "route"
+    steps: int | None = None
+
+    def __post_init__(self) -> None:
+        check_array("height_m", self.height_m, (2,))
+        for key, most in (("corner_radius_m", 1e6), ("speed_m_s", 1e6), ("dt", 1e3)):
+            check_number(key, getattr(self, key), least=1e-3, most=most)
+        for key in ("xy_m", "z_m", "velocity_m_s", "acceleration_m_s2"):
+            check_number(f"prior_sigma_{key}", getattr(self, f"prior_sigma_{key}"), least=1e-9, most=1e6)
+        check_number("nearest", self.nearest, least=1, most=1_000_000, integer=True, optional=True)
+        check_number("steps", self.steps, least=1, most=MOST_STEPS, integer=True, optional=True)
+        check_choice("truth_from", self.truth_from, ("route", "model"))
+        if self.truth_from == "route" and self.steps is not None:
+            raise BadValue("steps", self.steps, "null with truth_from=route, whose length decides")
+        matrices = getattr(self.motion, "matrices", None)
+        if matrices is None or np.shape(matrices(self.dt)[0]) != (9, 9):
+            raise BadValue("motion", self.motion, "a model of position, velocity and acceleration (9 numbers)")
+        _ = self._path, self.known_anchors, self.segments  # reads the files: what is wrong with them is said now
+        if not 1 <= self.route_steps <= MOST_STEPS:
+            allowed = f"one that cuts the route of {self._path.length:g} m into 1 to {MOST_STEPS} steps"
+            raise BadValue("dt", self.dt, allowed)
+
+    # --- the place ----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def files(self) -> tuple[Path, ...]:
+        """The files that the scenario was read from."""
+        named = (("anchors", self.anchors), ("walls", self.walls))
+        return tuple(plan.find(key, name) for key, name in named if key == "anchors" or name is not None)
+
+    @cached_property
+    def known_anchors(self) -> Anchors:
+        """The ANs (1, B, ...); local x looks along the array's broadside, y horizontally left of it, z up."""
+        return plan.read_anchors("anchors", self.files[0])
+
+    @cached_property
+    def _walls(self) -> tuple[Array | None, float | None]:
+        return (None, None) if self.walls is None else plan.read_walls("walls", self.files[1])
+
+    @property
+    def segments(self) -> Array | None:
+        """Walls (W, 2, 2) m, or None."""
+        return self._walls[0]
+
+    @property
+    def visited_area_m2(self) -> float | None:
+        """Area of the plan's polygon of kind `visited`, or None."""
+        return self._walls[1]
+
+    def line_of_sight(self, points: Array) -> np.ndarray:
+        """Which ANs each point (N, 3) m sees (N, B): no wall crosses the straight way, seen from above."""
+        return self._route_sight if self._is_route(points) else self._sight(points)
+
+    def reported(self, points: Array) -> np.ndarray:
+        """Which ANs report of a target at each point (N, 3) m (N, B): of those in line of sight the nearest."""
+        return self._route_reported if self._is_route(points) else self._nearest(points, self._sight(points))
+
+    def _sight(self, points: Array) -> np.ndarray:
+        return plan.in_sight(points, self.known_anchors.position[0], self.segments)
+
+    def _nearest(self, points: Array, seen: np.ndarray) -> np.ndarray:
+        """`seen` (N, B) without all but the nearest; of equally near ones the first in the file."""
+        B = seen.shape[1]
+        if self.nearest is None or self.nearest >= B:
+            return seen
+        squared = sum((points[:, None, i] - self.known_anchors.position[:, :, i]) ** 2 for i in range(3))
+        order = np.argsort(np.where(seen, squared, np.inf), axis=1, kind="stable")[:, : self.nearest]
+        chosen = np.zeros_like(seen)
+        np.put_along_axis(chosen, order, True, axis=1)
+        return chosen & seen
+
+    def _is_route(self, points: Array) -> bool:
+        """Whether these are the route's points, whose tables are kept: they are the same in every replication."""
+        return self.truth_from == "route" and np.array_equal(points, self._route_truth[:, :3])
+
+    @cached_property
+    def _route_sight(self) -> np.ndarray:
+        return self._sight(self._route_truth[:, :3])
+
+    @cached_property
+    def _route_reported(self) -> np.ndarray:
+        return self._nearest(self._route_truth[:, :3], self._route_sight)
+
+    # --- the way ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _path(self) -> RoundedRoute:
+        return RoundedRoute.through(self.route, self.corner_radius_m)
+
+    @cached_property
+    def route_steps(self) -> int:
+        """Steps of dt s that fit on the route."""
+        return math.floor(self._path.length / (self.speed_m_s * self.dt) + 1e-9)
+
+    @cached_property
+    def _route_truth(self) -> Array:
+        """Position m, velocity m/s and acceleration m/s^2 (T, 9) along the route, from the first step on."""
+        arc: Array = self.speed_m_s * self.dt * np.arange(1.0, self.route_steps + 1)
+        position, ahead, curvature = self._path.at(arc)
+        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+        climb = (self.height_m[1] - self.height_m[0]) / self._path.length
+        truth = np.zeros((len(arc), 9))
+        truth[:, :2], truth[:, 2] = position, self.height_m[0] + climb * arc
+        truth[:, 3:5], truth[:, 5] = self.speed_m_s * ahead, self.speed_m_s * climb
+        truth[:, 6:8] = self.speed_m_s**2 * curvature[:, None] * left
+        return truth
+
+    def truth(self, rng: np.random.Generator) -> Array:
+        """True position m, velocity m/s and acceleration m/s^2 (T, 9) after each step."""
+        if self.truth_from == "route":
+            return self._route_truth.copy()
+        F, Q = self.motion.matrices(self.dt)
+        scale = np.sqrt(np.diag(Q))  # the powers of dt, so that the root is good for any dt
+        root = scale[:, None] * np.linalg.cholesky(Q / np.outer(scale, scale))
+        truth = np.empty((self.steps or self.route_steps, 9))
+        state = self._start + self._prior_sigma * rng.standard_normal(9)
+        for k, w in enumerate(rng.standard_normal(truth.shape)):
+            state = F @ state + root @ w
+            truth[k] = state
+        return truth
+
+    @cached_property
+    def _start(self) -> Array:
+        """The state (9,) before the first step: at the first waypoint, velocity and acceleration 0."""
+        return np.array([*check_array("route", self.route, (None, 2))[0], self.height_m[0], 0, 0, 0, 0, 0, 0])
+
+    @cached_property
+    def _prior_sigma(self) -> Array:
+        v, a = self.prior_sigma_velocity_m_s, self.prior_sigma_acceleration_m_s2
+        return np.array([self.prior_sigma_xy_m] * 2 + [self.prior_sigma_z_m] + [v] * 3 + [a] * 3)
+
+    def prior(self, rng: np.random.Generator, truth: Array) -> tuple[Array, Array]:
+        """Mean (9,) and covariance (9, 9) of the state before the first step, in m, m/s and m/s^2.
+
+        On the route the position's mean is drawn around the true start, velocity and acceleration are taken as 0. Drawn
+        from the model, the truth varies around the mean instead.
+        """
+        mean = self._start.copy()
+        if self.truth_from == "route":
+            mean[:3] += self._prior_sigma[:3] * rng.standard_normal(3)
+        return mean, np.diag(self._prior_sigma**2)

@@ -1,0 +1,228 @@
+"""Lu et al. 2019: figures and printed values, each a function of an item's table alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from aoabench.report.plots import GREY, PAGE, new
+from aoabench.statistics import Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NAMES = {"ekf_toa_aoa": "EKF, times and angles", "ekf_aoa": "EKF, angles", "wcg": "WCG"}
+STYLES = {
+    "ekf_toa_aoa": {"color": "#0072B2", "marker": "o", "ls": "-"},
+    "ekf_aoa": {"color": "#D55E00", "marker": "s", "ls": "--"},
+    "wcg": {"color": "#009E73", "marker": "^", "ls": "-."},
+}
+KINDS = {"independent": "independent errors", "common": "one error common to all"}
+SIGMA = "deviation of the known access nodes [m]"
+
+
+def table1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """The preset's values."""
+    return {f"table1/{r['quantity']}": Estimate(r["value"], 0.0) for r in frame.to_dict("records")}
+
+
+def fig2(frame: pd.DataFrame) -> Figure:
+    """Plan, access nodes, route and its height [Lu 2019, Fig. 2]."""
+    figure, (left, right) = new(PAGE, 3.6, cols=2, width_ratios=[3, 1])
+    for w in frame[frame["kind"] == "wall"].to_dict("records"):
+        left.plot([w["x_m"], w["x1_m"]], [w["y_m"], w["y1_m"]], color="black", lw=0.8)
+    an, route = frame[frame["kind"] == "access node"], frame[frame["kind"] == "route"]
+    left.quiver(an["x_m"], an["y_m"], an["x1_m"], an["y1_m"], color=GREY, angles="xy", scale=45, width=0.002)
+    left.plot(an["x_m"], an["y_m"], "o", ms=2.5, color="#D55E00", label="access node and its broadside")
+    left.plot(route["x_m"], route["y_m"], color="#0072B2", label="route")
+    left.plot(*route[["x_m", "y_m"]].iloc[0], "x", color="#009E73", ms=7, mew=2, label="start")
+    left.plot(*route[["x_m", "y_m"]].iloc[-1], "o", color="#CC79A7", ms=6, label="end")
+    left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    left.grid(visible=False)
+    time = frame["step_s"].iloc[0] * np.arange(1, len(route) + 1)
+    right.plot(time, route["z_m"], color="#0072B2")
+    right.set(xlabel="time [s]", ylabel="z [m]", ylim=(0.9, 2.1))
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    return figure
+
+
+def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """What the paper says of its map, counted on ours."""
+    walls, an = frame[frame["kind"] == "wall"], frame[frame["kind"] == "access node"]
+    route = frame[frame["kind"] == "route"]
+    x, y = (np.concatenate([walls[f"{c}_m"], walls[f"{c}1_m"]]) for c in "xy")
+    step = np.linalg.norm(np.diff(route[["x_m", "y_m"]], axis=0), axis=1) / frame["step_s"].iloc[0]
+    found = {
+        "length_m": float(np.ptp(x)), "width_m": float(np.ptp(y)), "an_height_m": float(an["z_m"].mean()),
+        "speed_m_s": float(np.median(step)), "z_start_m": float(route["z_m"].iloc[0]),
+        "z_end_m": float(route["z_m"].iloc[-1]), "least_line_of_sight": float(route["line_of_sight"].min()),
+        "per_25_m2": 25 * len(an) / float(frame["area_m2"].iloc[0]),
+    }  # fmt: skip
+    return {f"fig2/{name}": Estimate(value, 0.0) for name, value in found.items()}
+
+
+def fig3(frame: pd.DataFrame) -> Figure:
+    """Distribution functions of the measurements' errors [Lu 2019, Fig. 3]."""
+    figure, (left, right) = new(PAGE, 2.6, cols=2, sharey=True)
+    cdf = frame[frame["kind"] == "cdf"]
+    rows = cdf[cdf["name"] == "toa_m"]
+    left.plot(rows["x"], rows["value"], color=STYLES["ekf_toa_aoa"]["color"])
+    for name, label, style in (("azimuth_deg", "azimuth", "-"), ("elevation_deg", "elevation", "--")):
+        rows = cdf[cdf["name"] == name]
+        colour = STYLES["ekf_aoa"]["color"] if name == "azimuth_deg" else STYLES["wcg"]["color"]
+        right.plot(rows["x"], rows["value"], style, color=colour, label=label)
+    for axis, limit in ((left, 10.0), (right, 0.5)):
+        for x in (-limit, limit):
+            axis.axvline(x, color="black", lw=0.8, ls=":")
+    left.set(xlabel="error of the time of arrival, times c [m]", ylabel="share of the errors below")
+    right.set(xlabel="error of the angle of arrival [deg]")
+    right.legend(loc="lower right")
+    return figure
+
+
+def fig3_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """Shares within the printed limits, and the deviation of the times over that of their thermal part."""
+    rows = frame[frame["kind"] != "cdf"].set_index("name")
+    return {f"fig3/{name}": Estimate(r["value"], r["se"]) for name, r in rows.iterrows()}
+
+
+# --- Figure 4 ---------------------------------------------------------------------------------------------------------
+
+
+def fig4(frame: pd.DataFrame) -> Figure:
+    """RMSE in space and in height and rate of divergence against the uncertainty [Lu 2019, Fig. 4]."""
+    figure, axes = new(PAGE, 5.6, rows=3, cols=2, sharex=True, sharey="row")
+    for column, (kind, title) in zip(axes.T, KINDS.items()):
+        for name, label in NAMES.items():
+            rows = frame[(frame["an_error"] == kind) & (frame["estimator"] == name)].dropna(subset=["an_sigma_m"])
+            rows = rows.sort_values("an_sigma_m")
+            for axis, part in zip(column, ("3d", "z")):
+                value, se = rows[f"rmse_{part}"], rows[f"rmse_{part}_se"].fillna(0)
+                bar = [np.minimum(3 * se, 0.9 * value), 3 * se]
+                axis.errorbar(
+                    rows["an_sigma_m"], value, yerr=bar, capsize=2, elinewidth=0.8, label=label, **STYLES[name]
+                )
+                if (rows["diverged"] > 0).any():
+                    faint = {**STYLES[name], "alpha": 0.35, "lw": 1.0}
+                    axis.plot(rows["an_sigma_m"], rows[f"kept_{part}"], label=f"{label}, without diverged", **faint)
+            share, se = 100 * rows["diverged"], 300 * rows["diverged_se"]
+            column[2].errorbar(
+                rows["an_sigma_m"], share, yerr=[np.minimum(se, share), se], capsize=2, elinewidth=0.8, **STYLES[name]
+            )
+        column[0].set(title=title, yscale="log")
+        column[1].set(yscale="log")
+        column[2].set(xlabel=SIGMA)
+    for axis, label in zip(axes[:, 0], ("3-D RMSE [m]", "vertical RMSE [m]", "diverged trials [%]")):
+        axis.set_ylabel(label)
+    handles: dict[str, Any] = {}
+    for axis in axes[0]:
+        handles |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels())}
+    figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=4)
+    return figure
+
+
+def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """RMSEs, filters above the centroid (paired), rates of divergence and crossings."""
+    found = {}
+    for r in frame.dropna(subset=["an_sigma_m"]).to_dict("records"):
+        key = f"fig4/{r['an_error']}/{r['an_sigma_m']:g}/{r['estimator']}"
+        for part in ("3d", "z"):
+            found[f"{key}/rmse_{part}"] = Estimate(r[f"rmse_{part}"], r[f"rmse_{part}_se"])
+            found[f"{key}/kept_{part}"] = Estimate(r[f"kept_{part}"], r[f"kept_{part}_se"])
+        found[f"{key}/diverged"] = Estimate(100 * r["diverged"], 100 * r["diverged_se"])
+        if r["estimator"] != "wcg":
+            found[f"{key}/above_wcg"] = Estimate(r["above_wcg"], r["above_wcg_se"])
+    for r in frame[frame["an_sigma_m"].isna()].to_dict("records"):
+        half = 0.5 * (r["crossing_high_m"] - r["crossing_low_m"])
+        within = np.isfinite(r["crossing_m"]) and np.isfinite(half)
+        key = f"fig4/{r['an_error']}/crossing/{r['estimator']}"
+        found[key] = Estimate(r["crossing_m"], half / 1.96) if within else Estimate(np.nan, np.nan)
+    return found
+
+
+# --- Table II, errata, consistency ------------------------------------------------------------------------------------
+
+
+def table2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """Counts (exact) and times (measured once, no error stated)."""
+    found = {}
+    for r in frame.to_dict("records"):
+        for name in ("printed_formula", "textbook", "ours"):
+            found[f"table2/{r['estimator']}/{name}"] = Estimate(r[name], 0.0)
+        found[f"table2/{r['estimator']}/time"] = Estimate(r["microseconds_per_step"], 0.0)
+    return found
+
+
+VARIANTS = {
+    "meant": "as meant", "jacobian": "derivatives (U1, U2)", "shared": "one shared error (U3)",
+    "cross": "no cross terms (U4)", "alpha": "orientation (U5)", "gain": "array gain twice (U6)",
+    "wrap": "no wrap (U8)",
+}  # fmt: skip
+
+
+def errata(frame: pd.DataFrame) -> Figure:
+    """RMSE as meant and with one erratum as printed, per method, without and with uncertain access nodes."""
+    figure, axes = new(PAGE, 3.0, cols=2, sharey=True)
+    rows_of = [v for v in VARIANTS if v in set(frame["variant"])]
+    for axis, (sigma, part) in zip(axes, frame.groupby("an_sigma_m")):
+        for k, (name, label) in enumerate(NAMES.items()):
+            rows = part[part["estimator"] == name].set_index("variant")
+            present = [v for v in rows_of if v in rows.index]
+            y = [-rows_of.index(v) + 0.2 * (1 - k) for v in present]
+            value, se = rows.loc[present, "rmse_m"], rows.loc[present, "rmse_se"].fillna(0)
+            bar = [np.minimum(3 * se, 0.9 * value), 3 * se]
+            style = {k_: v for k_, v in STYLES[name].items() if k_ != "ls"}
+            axis.errorbar(value, y, xerr=bar, ls="", ms=4, capsize=2, elinewidth=0.8, label=label, **style)
+        axis.set(xscale="log", xlabel="3-D RMSE [m]", title=f"access nodes known to {sigma:g} m")
+        axis.set_yticks([-i for i in range(len(rows_of))], [VARIANTS[v] for v in rows_of])
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """Mean RMSE above the one as meant, in percent."""
+    return {
+        f"errata/{r['variant']}/{r['an_sigma_m']:g}/{r['estimator']}": Estimate(
+            r["above_meant_percent"], r["above_meant_se"]
+        )
+        for r in frame[frame["variant"] != "meant"].to_dict("records")
+    }
+
+
+def nees(frame: pd.DataFrame) -> Figure:
+    """Mean NEES at each time, with the band of a consistent filter."""
+    sigmas = sorted(frame["an_sigma_m"].unique())
+    figure, axes = new(PAGE, 4.2, rows=2, cols=len(sigmas), sharey="row")
+    titles = {"indoor_map_model": "truth from the model", "indoor_map": "on the route"}
+    for line, (scenario, title) in zip(axes, titles.items()):
+        for axis, sigma in zip(line, sigmas):
+            part = frame[(frame["scenario"] == scenario) & (frame["an_sigma_m"] == sigma)]
+            for name in ("ekf_toa_aoa", "ekf_aoa"):
+                rows = part[part["estimator"] == name]
+                style = {"color": STYLES[name]["color"], "ls": STYLES[name]["ls"], "lw": 0.9}
+                axis.plot(rows["time_s"], rows["nees"], label=NAMES[name], **style)
+            axis.axhspan(*_band(int(part["trials"].iloc[0])), color=GREY, alpha=0.35, label="95 % band", lw=0)
+            axis.set(yscale="log", title=f"{title}, {sigma:g} m", xlabel="time [s]")
+        line[0].set_ylabel("mean NEES (3 dof)")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def _band(trials: int) -> tuple[float, float]:
+    from scipy.stats import chi2
+
+    low, high = chi2.ppf([0.025, 0.975], 3 * trials) / trials
+    return float(low), float(high)
+
+
+def nees_values(frame: pd.DataFrame, transient_s: float = 10.0) -> dict[str, Estimate]:
+    """Share in percent of the times after the transient at which the mean NEES lies in its 95 % band."""
+    found = {}
+    for (scenario, sigma, name), rows in frame.groupby(["scenario", "an_sigma_m", "estimator"]):
+        low, high = _band(int(rows["trials"].iloc[0]))
+        late = rows[rows["time_s"] > transient_s]["nees"]
+        share = 100 * float(((late >= low) & (late <= high)).mean())
+        found[f"nees/{scenario}/{sigma:g}/{name}"] = Estimate(share, 0.0)
+    return found

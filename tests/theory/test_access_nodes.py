@@ -1,0 +1,182 @@
+"""EKF at access nodes and weighted centroid: the textbook's update, finite differences, kernel and NumPy, errata."""
+
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from aoabench.estimators.centroid import WeightedCentroid
+from aoabench.filters import access_nodes as an
+from aoabench.geometry import wrap
+from aoabench.models.motion import ConstantAcceleration
+from aoabench.types import Anchors, BadValue, Batch, Outcome
+
+B = 7
+SUBSETS = [s for n in range(5) for s in combinations(an.PRINTED, n)]
+
+
+def upright(rng, n):
+    turn = rng.uniform(-np.pi, np.pi, n)
+    c, s, zero, one = np.cos(turn), np.sin(turn), np.zeros(n), np.ones(n)
+    return np.stack([np.stack(r, -1) for r in ((c, s, zero), (-s, c, zero), (zero, zero, one))], axis=-2)
+
+
+@pytest.fixture
+def anchors(rng):
+    position = np.concatenate([rng.uniform(-10, 10, (1, B, 2)), rng.uniform(2, 3, (1, B, 1))], axis=-1)
+    return Anchors(position, upright(rng, B)[None], np.broadcast_to([0.5, 0.5, 0.05], (1, B, 3)))
+
+
+def test_derivatives_are_finite_differences(anchors, rng):
+    """Of range, azimuth and elevation by the position; by the AN's own position they are the opposite."""
+    x, e = rng.uniform(-5, 5, (4, 3)), 1e-6
+    _, H = an.expected(x, anchors)
+    for q, step in enumerate(e * np.eye(3)):
+        for sign, (a, b) in {
+            1: ((x + step, anchors), (x - step, anchors)),
+            -1: (
+                (x, Anchors(anchors.position + step, anchors.rotation)),
+                (x, Anchors(anchors.position - step, anchors.rotation)),
+            ),
+        }.items():
+            d = an.expected(*a)[0] - an.expected(*b)[0]
+            d[..., 1] = wrap(d[..., 1])
+            assert np.allclose(d / (2 * e), sign * H[..., q], rtol=1e-5, atol=1e-7)
+
+
+def test_printed_derivatives_differ_by_their_denominators(anchors, rng):
+    """U1: by d / d_2D for the elevation squared, by d_2D for the azimuth."""
+    x = rng.uniform(-5, 5, (4, 3))
+    h, H = an.expected(x, anchors)
+    _, P = an.expected(x, anchors, printed=True)
+    rho, d = h[..., 0] * np.cos(h[..., 2]), h[..., 0]
+    assert np.allclose(P[..., 1, :], H[..., 1, :] * rho[..., None])
+    assert np.allclose(P[..., 2, 2], H[..., 2, 2] * (d / rho) ** 2)
+    assert np.allclose(P[..., 0, :], H[..., 0, :])
+
+
+def textbook(x, y, q, anchors, C, flags):
+    """Stacked H, residual and the whole R, missing rows left out [(18), (20)-(24)]."""
+    jacobian, unwrapped, shared, apart = flags
+    h, H = (a[0] for a in an.expected(x[None], anchors, jacobian))
+    v = y - h
+    if unwrapped:
+        turn = np.arctan2(anchors.rotation[0, :, 0, 1], anchors.rotation[0, :, 0, 0])
+        v[:, 1] = wrap(y[:, 1] + turn) - wrap(h[:, 1] + turn)
+    else:
+        v[:, 1] = wrap(v[:, 1])
+    rows = [(b, i) for b in range(len(y)) for i in range(3) if np.isfinite(y[b, i])]
+    R = np.diag([q[b, i] for b, i in rows])
+    for m, (a, i) in enumerate(rows):
+        for n, (b, j) in enumerate(rows):
+            time_and_angle = (i == 0) != (j == 0)
+            if (shared or a == b) and not (apart and time_and_angle):
+                R[m, n] += H[a, i] @ (C[b] * H[b, j])
+    return np.array([H[b, i] for b, i in rows]), np.array([v[b, i] for b, i in rows]), R
+
+
+@pytest.mark.parametrize("printed", SUBSETS, ids="-".join)
+def test_update_is_the_textbooks(printed, anchors, rng):
+    """One step of the filter against K = P H^T (H P H^T + R)^-1 with stacked matrices, any errata as printed."""
+    flags = tuple(name in printed for name in an.PRINTED)
+    C = np.tile([0.25, 0.25, 0.0025], (B, 1))
+    x = np.concatenate([rng.uniform(-3, 3, (1, 3)), rng.normal(size=(1, 6))], axis=-1)
+    L = rng.normal(size=(9, 9))
+    P = 0.1 * L @ L.T
+    h, _ = an.expected(x[:, :3], anchors)
+    y = h[0] + rng.normal(size=(B, 3)) * [1.0, 0.05, 0.05]
+    y[:, 1] = wrap(y[:, 1])
+    y[1, 0] = y[2, 1] = np.nan
+    y[3] = np.nan
+    q = rng.uniform(0.5, 2, (B, 3)) * [9.0, 1e-3, 1e-3]
+    H, v, R = textbook(x[0, :3], y, q, anchors, C, flags)
+    G = np.concatenate([H, np.zeros((len(H), 6))], axis=1)
+    K = np.linalg.solve(G @ P @ G.T + R, G @ P).T
+    mean, cov = x[0] + K @ v, P - K @ G @ P
+    A, g = an.information(x[:, :3], y[None], q[None], anchors, C, flags)
+    W = np.linalg.solve(np.eye(3) + A[0] @ P[:3, :3], np.column_stack([A[0], g[0]]))
+    assert np.allclose(x[0] + P[:, :3] @ W[:, 3], mean, atol=1e-9)
+    assert np.allclose(P - P[:, :3] @ W[:, :3] @ P[:3], cov, atol=1e-9)
+
+
+def track(rng, anchors, R=11, T=40, missing=0.3):
+    """A straight walk among the anchors, their measurements and what a filter starts from."""
+    F, _ = ConstantAcceleration(0.1).matrices(0.1)
+    x = np.zeros((R, T, 9))
+    x[:, 0, :3], x[:, 0, 3:6] = rng.uniform(-3, 3, (R, 3)) * [1, 1, 0.1], rng.uniform(-1, 1, (R, 3)) * [1, 1, 0.1]
+    for k in range(1, T):
+        x[:, k] = x[:, k - 1] @ F.T
+    h, _ = an.expected(x[..., :3].reshape(-1, 3), Anchors(anchors.position, anchors.rotation))
+    sigma = np.array([3.0, 0.01, 0.01])
+    y = h.reshape(R, T, B, 3) + sigma * rng.normal(size=(R, T, B, 3))
+    y[rng.random((R, T, B)) < missing] = np.nan
+    y[:, 5] = np.nan  # a step without any
+    known = anchors.position + anchors.position_sigma * rng.normal(size=(R, B, 3))
+    batch = Batch(
+        wrap(y[..., 1]), y[..., 2], Anchors(known, anchors.rotation, anchors.position_sigma), delay=y[..., 0] / an.LIGHT,
+        azimuth_sigma=np.full((R, T, B), sigma[1]), elevation_sigma=np.full((R, T, B), sigma[2]),
+        delay_sigma=np.full((R, T, B), sigma[0] / an.LIGHT),
+        prior_mean=x[:, 0] + rng.normal(size=(R, 9)) * ([1, 1, 0.1] + [0.3] * 6),
+        prior_cov=np.diag([1, 1, 0.01] + [0.09] * 6),
+    )  # fmt: skip
+    return x, batch, SimpleNamespace(motion=ConstantAcceleration(0.1), dt=0.1)
+
+
+@pytest.mark.parametrize("toa", [True, False])
+@pytest.mark.parametrize("printed", SUBSETS, ids="-".join)
+def test_the_kernel_equals_numpy(toa, printed, anchors, rng):
+    _, batch, scenario = track(rng, anchors)
+    fast, slow = (an.AccessNodeEKF(toa, printed, engine=e)(batch, scenario, None) for e in ("auto", "numpy"))
+    assert np.allclose(fast.position, slow.position, atol=1e-7)
+    assert np.allclose(fast.covariance, slow.covariance, atol=1e-9)
+    assert np.array_equal(fast.outcome, slow.outcome)
+
+
+def test_the_filter_follows_the_walk_and_knows_how_well(anchors, rng):
+    """Mean error below a metre, and smaller with times than without; positive covariances."""
+    x, batch, scenario = track(rng, anchors, R=64)
+    rmse = {}
+    for toa in (True, False):
+        found = an.AccessNodeEKF(toa)(batch, scenario, None)
+        assert np.all(found.outcome == Outcome.OK)
+        assert np.linalg.eigvalsh(found.covariance).min() > 0
+        rmse[toa] = np.sqrt(((found.position - x[..., :3])[:, 20:] ** 2).sum(-1).mean())
+    assert rmse[True] < rmse[False] < 1.0
+
+
+def test_bad_input_is_named(anchors, rng):
+    _, batch, scenario = track(rng, anchors)
+    for bad in ({"toa": "yes"}, {"as_printed": "wrap"}, {"as_printed": ["wrong"]}, {"engine": "fast"}):
+        with pytest.raises(BadValue):
+            an.AccessNodeEKF(**bad)
+    without = Batch(
+        batch.azimuth, batch.elevation, batch.anchors, prior_mean=batch.prior_mean, prior_cov=batch.prior_cov
+    )
+    with pytest.raises(BadValue, match="ofdm_crlb"):
+        an.AccessNodeEKF()(without, scenario, None)
+    with pytest.raises(BadValue, match="ofdm_crlb"):
+        WeightedCentroid()(without, scenario, None)
+
+
+def test_centroid_of_exact_measurements_is_the_position_and_of_others_the_weighted_mean(anchors, rng):
+    x = rng.uniform(-3, 3, (2, 5, 3))
+    h, _ = an.expected(x.reshape(-1, 3), anchors)
+    h = h.reshape(2, 5, B, 3)
+    sigma = rng.uniform(1e-9, 1e-8, (2, 5, B))
+    exact = Batch(h[..., 1], h[..., 2], anchors, delay=h[..., 0] / an.LIGHT, delay_sigma=sigma)
+    assert np.allclose(WeightedCentroid()(exact, None, None).position, x)
+    delay = exact.delay + sigma * rng.normal(size=sigma.shape)
+    delay[0, 0], delay[1, 2, :4] = np.nan, np.nan
+    found = WeightedCentroid()(Batch(h[..., 1], h[..., 2], anchors, delay=delay, delay_sigma=sigma), None, None)
+    assert (found.outcome == Outcome.FAILED).sum() == 1
+    assert found.outcome[0, 0] == Outcome.FAILED
+    slow = np.zeros(3)
+    for b in range(4, B):  # (12) with the azimuth of the wall subtracted, (13), (14)
+        R, (_, a, e) = anchors.rotation[0, b], h[1, 2, b]
+        theta = a + np.arctan2(R[0, 1], R[0, 0])
+        r = an.LIGHT * delay[1, 2, b]
+        one = anchors.position[0, b] + r * np.array([np.cos(e) * np.cos(theta), np.cos(e) * np.sin(theta), np.sin(e)])
+        slow += one / sigma[1, 2, b] ** 2
+    assert np.allclose(found.position[1, 2], slow / (1 / sigma[1, 2, 4:] ** 2).sum())
+    assert not np.allclose(WeightedCentroid(as_printed=True)(exact, None, None).position, x, atol=0.1)
