@@ -152,3 +152,23 @@ def test_printed_numbers_keep_their_digits():
     assert printed_text(0.3, 0.005) == "0.30"
     assert printed_text(21, 0.5) == "21"
     assert printed_text(None, 0.0) == "-"
+
+
+@pytest.mark.parametrize("name", study.names())
+def test_every_erratum_names_a_test_that_exists(name):
+    from pathlib import Path
+
+    root, s = Path(__file__).parents[1], study.load(name)
+    assert len({e["id"] for e in s.errata}) == len(s.errata)
+    for e in s.errata:
+        file, _, test = e["test"].partition("::")
+        assert f"def {test}(" in (root / file).read_text(), e["id"]
+
+
+@pytest.mark.parametrize("name", study.names())
+def test_every_printed_entry_is_whole(name):
+    s = study.load(name)
+    assert len({e["id"] for e in s.printed}) == len(s.printed)
+    for e in s.printed:
+        assert e["item"] in {item.name for item in s.items}
+        assert ("claim" in e) == ("says" in e), e["id"]

@@ -535,3 +535,37 @@ def test_compare_names_the_cells_and_pairs_what_is_common(tmp_path, capsys):
     assert "larger" in said
     dispatch(["compare", str(tmp_path), "--metric", "iterations"])
     assert "nan" not in capsys.readouterr().out
+
+
+def test_results_are_keyed_on_the_content_of_data_files(tmp_path, monkeypatch):
+    """The same command with another plan under the same name computes again; untouched it does not."""
+    from aoabench import store
+    from aoabench.composing import compose_cells
+
+    monkeypatch.chdir(tmp_path)
+    nodes = "x_m,y_m,z_m,facing_deg\n0,3,3,0\n10,3,3,180\n5,0,3,90\n"
+    words = ["scenario=indoor_map", "scenario.walls=null", "scenario.anchors=nodes.csv", "scenario.route=[[2,3],[8,3]]"]
+    keys = []
+    for text in (nodes, nodes, nodes.replace("5,0,3", "5,1,3")):
+        (tmp_path / "nodes.csv").write_text(text)
+        keys.append(store.draws_key(compose_cells([*words, "noise=ofdm_crlb", "filter=[ekf_aoa]"])[0]))
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_known_access_nodes_are_drawn_per_replication_and_paired_over_the_uncertainty():
+    """Role 2 of the streams: other replications differ, and the errors scale with an_sigma_m."""
+    import numpy as np
+
+    from aoabench.composing import compose_cells
+    from aoabench.montecarlo import Draws
+
+    offset = {}
+    for sigma in (1.0, 3.0):
+        words = ["scenario=indoor_map", "noise=ofdm_crlb", "filter=[ekf_aoa]", f"noise.an_sigma_m={sigma}"]
+        cell = compose_cells([*words, "scenario.route=[[17.5,24.5],[19.5,24.5]]"])[0]
+        anchors = Draws(cell.scenario, cell.noise, 1).tile(0, 4)[1].anchors
+        offset[sigma] = anchors.position - cell.scenario.known_anchors.position
+        assert anchors.of(2).position.shape == (1, 107, 3)
+        assert np.array_equal(anchors.of(2).position[0], anchors.position[2])
+    assert np.allclose(3 * offset[1.0], offset[3.0])
+    assert not np.allclose(offset[1.0][0], offset[1.0][1])

@@ -63,7 +63,9 @@ class _Laps:
     """One estimator, called on the next tile of replications each time; only its own work is in the time."""
 
     def __init__(self, cell: Cell, name: str, engine: str = "auto", tiles: int = 4) -> None:
-        self.estimator, self.cell, self.next = replace(cell.estimators[name], engine=engine), cell, 0
+        given = cell.estimators[name]
+        self.estimator = replace(given, engine=engine) if hasattr(given, "engine") else given
+        self.cell, self.next = cell, 0
         size = montecarlo.tile_of(self.estimator)
         draws = montecarlo.Draws(cell.scenario, cell.noise, cell.seed)
         self.batches = [draws.tile(i * size, size)[1] for i in range(tiles)]
@@ -288,6 +290,31 @@ def snapshot(repeats: int) -> Iterator[Row]:
     yield Row("against SciPy", "ml_kcorr", us["scipy"] / us["ml_kcorr"], "x", "", other)
 
 
+def access_nodes(repeats: int) -> Iterator[Row]:
+    """Microseconds per trial and step on the indoor map: EKFs with nine states at eight access nodes, the centroid."""
+    names = ["ekf_toa_aoa", "ekf_aoa", "wcg"]
+    cell = compose_cells(
+        ["scenario=indoor_map", "noise=ofdm_crlb", "noise.an_sigma_m=0.5", "filter=[ekf_toa_aoa,ekf_aoa]"]
+        + ["estimator=[wcg]"]
+    )[0]
+    laps = {name: _Laps(cell, name, tiles=2) for name in names}
+    actions: dict[str, Callable[[], Any]] = dict(laps)
+    slow = _Laps(cell, "ekf_toa_aoa", "numpy", tiles=1)
+    found = in_turn({**actions, "numpy": slow}, min(repeats, 5))
+    begin = time.perf_counter()
+    fresh = replace(cell.scenario)
+    route = fresh.truth(np.random.default_rng(0))
+    fresh.line_of_sight(route[:, :3])
+    sight = time.perf_counter() - begin
+    how = "median, in turn; tiles of 8 trials, 3065 steps, 9 states, 8 of 107 access nodes; one core"
+    for name in names:
+        target = "at most 4" if name == "ekf_toa_aoa" else ""
+        yield Row("access-node step", name, 1e6 * found[name] / laps[name].steps, "us", target, how)
+    yield Row("access-node step in NumPy", "ekf_toa_aoa", 1e6 * found["numpy"] / slow.steps, "us", "", how)
+    how = "files read again, the whole route (3065 points) against all 107 access nodes and 85 walls"
+    yield Row("line of sight", "indoor_map", sight, "s", "at most 1", how)
+
+
 def start(repeats: int) -> Iterator[Row]:
     """Seconds to import the package, to answer `aoabench list`, and of runs of one replication."""
     how = f"median wall time of {repeats} fresh processes"
@@ -391,4 +418,4 @@ def _command(words: list[str], repeats: int, environment: dict[str, str] | None 
     return statistics.median(seconds)
 
 
-ALL = (kalman, particle, snapshot, generality, start, interrupt, scaling, memory, studies, precision)
+ALL = (kalman, particle, snapshot, access_nodes, generality, start, interrupt, scaling, memory, studies, precision)

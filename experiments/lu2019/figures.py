@@ -135,10 +135,10 @@ def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
         if r["estimator"] != "wcg":
             found[f"{key}/above_wcg"] = Estimate(r["above_wcg"], r["above_wcg_se"])
     for r in frame[frame["an_sigma_m"].isna()].to_dict("records"):
-        half = 0.5 * (r["crossing_high_m"] - r["crossing_low_m"])
-        within = np.isfinite(r["crossing_m"]) and np.isfinite(half)
-        key = f"fig4/{r['an_error']}/crossing/{r['estimator']}"
-        found[key] = Estimate(r["crossing_m"], half / 1.96) if within else Estimate(np.nan, np.nan)
+        low, high = r["crossing_low_m"], r["crossing_high_m"]
+        certain = 0.0 if np.isinf(low) else np.nan  # not even the interval's lower end lies in the range
+        se = 0.5 * (high - low) / 1.96 if np.isfinite(high) else certain
+        found[f"fig4/{r['an_error']}/crossing/{r['estimator']}"] = Estimate(r["crossing_m"], se)
     return found
 
 

@@ -195,7 +195,7 @@ def table2(scale: str) -> pd.DataFrame:
 
 
 def errata(runs: pd.DataFrame) -> pd.DataFrame:
-    """Per uncertainty, method and erratum as printed: RMSE, rate of divergence, and mean RMSE above the one as meant."""
+    """Per uncertainty, method and erratum as printed: RMSE, rate of divergence, mean RMSE above the one as meant."""
     found: dict[tuple[float, str, str], np.ndarray] = {}
     for _, group in runs.groupby("cell"):
         first = group.iloc[0]

@@ -8,7 +8,7 @@ from aoabench.config import options
 from aoabench.montecarlo import Draws, estimate_tile, run_block, tile_of
 from aoabench.types import Outcome
 
-TIMES = {"ekf_toa_aoa", "wcg"}  # estimators that need times of arrival
+TIMES = {"ekf_toa_aoa", "wcg", "wcg_as_printed"}  # estimators that need times of arrival
 ESTIMATORS = [("filter", n) for n in options("filter")] + [("estimator", n) for n in options("estimator")]
 
 
