@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+LIGHT = 299_792_458.0  # m/s
+
 
 def wrap(angle: ArrayLike) -> Array:
     """Angle (...) rad brought into (-pi, pi]."""

@@ -10,11 +10,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench.geometry import to_unit
+from aoabench.geometry import LIGHT, to_unit
 from aoabench.streams import Streams
 from aoabench.types import BadValue, Batch, Estimates, Outcome
-
-LIGHT = 299_792_458.0  # m/s
 
 
 @dataclass(frozen=True)

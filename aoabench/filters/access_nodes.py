@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from aoabench import kernels
-from aoabench.geometry import Array, wrap
+from aoabench.geometry import LIGHT, Array, wrap
 from aoabench.streams import Streams
 from aoabench.types import Anchors, BadValue, Batch, Estimates, Outcome, check_choice
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash
     from aoabench.filters import access_node_kernels  # noqa: F401
 
 KERNELS = "filters.access_node_kernels"
-LIGHT = 299_792_458.0  # m/s
 PRINTED = ("jacobian", "wrap", "shared", "cross")
 RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 

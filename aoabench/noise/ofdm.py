@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from aoabench.geometry import Array, in_frames, to_azel, wrap
+from aoabench.geometry import LIGHT, Array, in_frames, to_azel, wrap
 from aoabench.types import Anchors, BadValue, Measurements, check_choice, check_number
 
-LIGHT = 299_792_458.0  # m/s
 PRINTED = ("gain",)  # errata that can be run as printed
 NEAREST = 1.0  # m; the path loss model does not know anything nearer
 

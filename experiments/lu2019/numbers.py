@@ -9,8 +9,8 @@ import pandas as pd
 
 from aoabench import metrics, statistics
 from aoabench.composing import compose_cells
+from aoabench.geometry import LIGHT
 from aoabench.montecarlo import Draws, estimate_tile, time_estimators
-from aoabench.noise.ofdm import LIGHT
 
 METHODS = ("ekf_toa_aoa", "ekf_aoa", "wcg")
 DIVERGED_M = 15.0  # 3-D RMSE beyond which a trial counts as diverged

@@ -8,7 +8,7 @@ import pytest
 
 from aoabench.estimators.centroid import WeightedCentroid
 from aoabench.filters import access_nodes as an
-from aoabench.geometry import wrap
+from aoabench.geometry import LIGHT, wrap
 from aoabench.models.motion import ConstantAcceleration
 from aoabench.types import Anchors, BadValue, Batch, Outcome
 
@@ -114,9 +114,9 @@ def track(rng, anchors, R=11, T=40, missing=0.3):
     y[:, 5] = np.nan  # a step without any
     known = anchors.position + anchors.position_sigma * rng.normal(size=(R, B, 3))
     batch = Batch(
-        wrap(y[..., 1]), y[..., 2], Anchors(known, anchors.rotation, anchors.position_sigma), delay=y[..., 0] / an.LIGHT,
+        wrap(y[..., 1]), y[..., 2], Anchors(known, anchors.rotation, anchors.position_sigma), delay=y[..., 0] / LIGHT,
         azimuth_sigma=np.full((R, T, B), sigma[1]), elevation_sigma=np.full((R, T, B), sigma[2]),
-        delay_sigma=np.full((R, T, B), sigma[0] / an.LIGHT),
+        delay_sigma=np.full((R, T, B), sigma[0] / LIGHT),
         prior_mean=x[:, 0] + rng.normal(size=(R, 9)) * ([1, 1, 0.1] + [0.3] * 6),
         prior_cov=np.diag([1, 1, 0.01] + [0.09] * 6),
     )  # fmt: skip
@@ -164,7 +164,7 @@ def test_centroid_of_exact_measurements_is_the_position_and_of_others_the_weight
     h, _ = an.expected(x.reshape(-1, 3), anchors)
     h = h.reshape(2, 5, B, 3)
     sigma = rng.uniform(1e-9, 1e-8, (2, 5, B))
-    exact = Batch(h[..., 1], h[..., 2], anchors, delay=h[..., 0] / an.LIGHT, delay_sigma=sigma)
+    exact = Batch(h[..., 1], h[..., 2], anchors, delay=h[..., 0] / LIGHT, delay_sigma=sigma)
     assert np.allclose(WeightedCentroid()(exact, None, None).position, x)
     delay = exact.delay + sigma * rng.normal(size=sigma.shape)
     delay[0, 0], delay[1, 2, :4] = np.nan, np.nan
@@ -175,7 +175,7 @@ def test_centroid_of_exact_measurements_is_the_position_and_of_others_the_weight
     for b in range(4, B):  # (12) with the azimuth of the wall subtracted, (13), (14)
         R, (_, a, e) = anchors.rotation[0, b], h[1, 2, b]
         theta = a + np.arctan2(R[0, 1], R[0, 0])
-        r = an.LIGHT * delay[1, 2, b]
+        r = LIGHT * delay[1, 2, b]
         one = anchors.position[0, b] + r * np.array([np.cos(e) * np.cos(theta), np.cos(e) * np.sin(theta), np.sin(e)])
         slow += one / sigma[1, 2, b] ** 2
     assert np.allclose(found.position[1, 2], slow / (1 / sigma[1, 2, 4:] ** 2).sum())

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aoabench.noise.ofdm import LIGHT, OfdmCrlb
+from aoabench.geometry import LIGHT
+from aoabench.noise.ofdm import OfdmCrlb
 from aoabench.types import Anchors, BadValue
 
 NOISE = OfdmCrlb()
