@@ -65,5 +65,10 @@ def _effect(effect: dict[str, str] | None, found: dict[str, Any]) -> str:
     """What an erratum does, in words and a number of ours; nothing if it says none or was not computed."""
     if effect is None or effect["id"] not in found:
         return ""
-    ours = found[effect["id"]][0]
-    return f"{effect['says']}: {studies.number_text(ours.value, ours.se)} {effect['unit']}".strip()
+    texts = [studies.number_text(found[i][0].value, found[i][0].se) for i in _ids(effect) if i in found]
+    return f"{effect['says']}: {' instead of '.join(texts)} {effect['unit']}".strip()
+
+
+def _ids(effect: dict[str, str]) -> list[str]:
+    """What an effect's number is, and what it is instead of, if it says."""
+    return [effect[key] for key in ("id", "instead_of") if key in effect]
