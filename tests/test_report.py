@@ -143,6 +143,7 @@ def test_box_levels_are_the_papers():
     (float("nan"), float("nan"), "-"),
     (10.04, 0.96, "10.04 ± 0.96"),
     (10.04, 1.2, "10.0 ± 1.2"),
+    (2281053069.0, 124579793.0, "2.28e+09 ± 1e+08"),
 ])  # fmt: skip
 def test_numbers_show_the_digits_that_their_errors_support(value, se, text):
     assert number_text(value, se) == text

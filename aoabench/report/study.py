@@ -203,6 +203,8 @@ def number_text(value: float, se: float) -> str:
         return f"{value:.4g}"
     from math import floor, log10
 
+    if abs(value) >= 1e6:
+        return f"{value:.3g} ± {se:.1g}"
     digits = max(0, 1 - floor(log10(abs(se))))
     return f"{value:.{digits}f} ± {se:.{digits}f}"
 
