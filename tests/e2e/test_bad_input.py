@@ -108,7 +108,7 @@ CASES = [
     (["run", "-m", F, "noise.sigma_deg=2,5,-1"], ["noise.sigma_deg", "-1", "> 0"]),
     (["rnu"], ["rnu", "did you mean 'run'"]),
     (["reproduce", "nurminen"], ["nurminen", "nurminen2018"]),
-    (["reproduce", "--only", "fig99"], ["fig99", "did you mean 'fig4'"]),
+    (["reproduce", "--only", "fig99"], ["fig99", "did you mean 'fig"]),
     (["reproduce", "--scale", "huge"], ["--scale", "huge", "quick"]),
     (["compare", "/no/such/run"], ["/no/such/run", "no results"]),
     (["compare"], ["run"]),
