@@ -240,6 +240,11 @@ def _estimators(
             found[name] = _as(path, construct(node, path, plugins), ("__call__",))
             if not isinstance(getattr(found[name], "tile", 1), int) or getattr(found[name], "tile", 1) < 1:
                 raise BadValue(f"{path}.tile", found[name].tile, "an integer >= 1")
+            if hasattr(found[name], "check"):
+                try:
+                    found[name].check(scenario)
+                except BadValue as error:
+                    raise BadValue(f"{path}.{error.key}", error.value, error.allowed) from None
             if hasattr(found[name], "measurement"):
                 _as(f"{path}.measurement", found[name].measurement, ("observe", "predict", "residual"))
                 motion = getattr(scenario, "motion", None)

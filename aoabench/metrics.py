@@ -12,12 +12,13 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
     """One value (R,) per column of the replications table, from estimates and true positions (R, T, 3) m.
 
     Accepted are the fixes that give a position: ok, oscillated and diverged. `nees` is the mean of e^T P^-1 e (3 dof).
+    Where a method gives no z (NaN) the 3-D error is that in the plane, and `rmse_z_m` and `nees` are NaN.
     """
     outcome = estimates.outcome
     error = estimates.position - truth
     accepted = (outcome != Outcome.FAILED) & (outcome != Outcome.REJECTED)
     columns: dict[str, np.ndarray] = {
-        "rmse_3d_m": root_mean_square(np.sqrt((error**2).sum(-1)), accepted),
+        "rmse_3d_m": root_mean_square(distance(error), accepted),
         "rmse_xy_m": root_mean_square(np.hypot(error[..., 0], error[..., 1]), accepted),
         "rmse_z_m": root_mean_square(error[..., 2], accepted),
         "outcome": np.array([Outcome(int(o)).name.lower() for o in outcome.max(axis=1)], dtype=object),
@@ -39,7 +40,7 @@ def per_step(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
     error = estimates.position - truth
     return {
         **{f"{axis}_m": estimates.position[..., i] for i, axis in enumerate("xyz")},
-        "error_3d_m": np.sqrt((error**2).sum(-1)),
+        "error_3d_m": distance(error),
         "error_xy_m": np.hypot(error[..., 0], error[..., 1]),
         "error_z_m": error[..., 2],
         "outcome": np.array([o.name.lower() for o in Outcome], dtype=object)[estimates.outcome],
@@ -47,14 +48,21 @@ def per_step(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
 
 
 def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
-    """Errors and iterations (float32) and outcomes (int8), each (R, T), of replications that share their positions."""
-    error, nothing = estimates.position - truth, np.full(estimates.outcome.shape, np.nan)
+    """What float32 holds of each fix, and outcomes (int8), each (R, T), of replications that share their positions."""
+    error, nothing = estimates.position - truth, np.full(estimates.outcome.shape, np.nan, dtype=np.float32)
+    said = {name: getattr(estimates, name) for name in ("iterations", "score", "anchors_used")}
     return {
-        "error_3d_m": np.sqrt((error**2).sum(-1)).astype(np.float32),
+        "error_3d_m": distance(error).astype(np.float32),
         "error_xy_m": np.hypot(error[..., 0], error[..., 1]).astype(np.float32),
-        "iterations": (nothing if estimates.iterations is None else estimates.iterations).astype(np.float32),
+        **{name: nothing if value is None else value.astype(np.float32) for name, value in said.items()},
         "outcome": estimates.outcome.astype(np.int8),
     }
+
+
+def distance(error: Array) -> Array:
+    """Lengths (...) m of errors (..., 3) m; in the plane where z is NaN."""
+    z = np.where(np.isnan(error[..., 2]), 0.0, error[..., 2])
+    return np.sqrt(error[..., 0] ** 2 + error[..., 1] ** 2 + z**2)
 
 
 def root_mean_square(error: Array, accepted: np.ndarray) -> Array:

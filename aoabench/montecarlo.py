@@ -35,7 +35,9 @@ def simulate(scenario: Any, noise: Any, seed: int, replication: int) -> tuple[np
     """
     once = getattr(scenario, "same_truth", False)
     truth = scenario.truth(generator(seed, scenario.name, 0 if once else replication, TRUTH))
-    measured = noise.sample(generator(seed, scenario.name, replication, MEASUREMENT), scenario, truth)
+    measured = getattr(scenario, "recorded", None)
+    if measured is None:
+        measured = noise.sample(generator(seed, scenario.name, replication, MEASUREMENT), scenario, truth)
     prior = scenario.prior(generator(seed, scenario.name, replication, ESTIMATOR, PRIOR), truth)
     return truth, measured, prior
 
@@ -144,7 +146,9 @@ def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray,
     size = tile_of(estimator)
     truth, batch = draws.tile(first, size)
     streams = Streams(draws.seed, draws.scenario.name, tuple(range(first, first + size)))
-    return truth, checked(estimator(batch, draws.scenario, streams), truth.shape[:2], type(estimator).__name__)
+    seen = (truth,) if getattr(estimator, "sees_truth", False) else ()
+    estimates = estimator(batch, draws.scenario, streams, *seen)
+    return truth, checked(estimates, truth.shape[:2], type(estimator).__name__)
 
 
 def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimates:
@@ -152,10 +156,11 @@ def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimate
 
     A fix that claims a position and gives none (x or y not finite) is `failed`: nothing drops out of the counts.
     """
-    wanted = {"position": (*shape, 3), "covariance": (*shape, 3, 3), "iterations": shape, "outcome": shape}
+    wanted = {"position": (*shape, 3), "covariance": (*shape, 3, 3), "outcome": shape}
+    wanted |= dict.fromkeys(("iterations", "score", "anchors_used"), shape)
     for field, expected in wanted.items():
         value = getattr(estimates, field)
-        if value is None and field in ("covariance", "iterations"):
+        if value is None and field not in ("position", "outcome"):
             continue
         if np.shape(value) != expected:
             raise UserError(f"{name}: Estimates.{field} must have the shape {expected}, not {np.shape(value)}")

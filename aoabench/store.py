@@ -47,7 +47,8 @@ STEPS = {
     "error_3d_m": "double", "error_xy_m": "double", "error_z_m": "double", "outcome": "string",
 }  # fmt: skip
 FIXES = {
-    "replication": "int64", "error_3d_m": "floats", "error_xy_m": "floats", "iterations": "floats", "outcome": "bytes",
+    "replication": "int64", "error_3d_m": "floats", "error_xy_m": "floats", "iterations": "floats", "score": "floats",
+    "anchors_used": "floats", "outcome": "bytes",
 }  # fmt: skip
 KINDS = {"rows": REPLICATIONS, "steps": STEPS, "fixes": FIXES}  # what a part may consist of; rows are always there
 IDENTITY = ("cell", "experiment", "scenario", "noise", "estimator")

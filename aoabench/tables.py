@@ -206,12 +206,15 @@ def _noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.
 class Fixes:
     """Every fix of one estimator in one cell whose replications share their true positions; arrays (R, T).
 
-    error_3d_m, error_xy_m in m (NaN: no position), iterations (NaN: none counted), outcome of types.Outcome.
+    error_3d_m, error_xy_m in m (NaN: no position), iterations, score and anchors_used of types.Estimates (NaN: none
+    told), outcome of types.Outcome.
     """
 
     error_3d_m: np.ndarray
     error_xy_m: np.ndarray
     iterations: np.ndarray
+    score: np.ndarray
+    anchors_used: np.ndarray
     outcome: np.ndarray
 
 

@@ -143,12 +143,18 @@ class Batch:
 
 @dataclass(frozen=True)
 class Estimates:
-    """position (R, T, 3) m, covariance (R, T, 3, 3) m^2 | None, iterations (R, T) | None, outcome (R, T) of Outcome."""
+    """position (R, T, 3) m, covariance (R, T, 3, 3) m^2 | None, iterations (R, T) | None, outcome (R, T) of Outcome.
+
+    z is NaN where a method works in the plane alone. score (R, T): how badly the measurements of a fix agree, the larger
+    the worse, in a unit of the method's own, NaN = cannot tell; anchors_used (R, T): how many the position rests on.
+    """
 
     position: Array
     covariance: Array | None
     iterations: Array | None
     outcome: np.ndarray
+    score: Array | None = None
+    anchors_used: Array | None = None
 
 
 class Motion(Protocol):
@@ -163,7 +169,9 @@ class Scenario(Protocol):
     """Where things are and how the target moves. `name` keys the random streams; state[:3] is the position in m.
 
     Optional: `same_truth` (all replications share their true positions), `files` (paths that it read: results are keyed
-    on their content), `reported(points (T, 3)) -> (T, B)` (which anchors measure).
+    on their content), `reported(points (T, 3)) -> (T, B)` (which anchors measure), `height_m` (the target's known z),
+    `bounds_m` ((2, 2): lower and upper corner in x and y, outside of which no target can be), `days_of (T,)` (which day
+    each step is of), `recorded` (a Measurements that takes the place of the noise's).
     """
 
     @property
@@ -232,7 +240,9 @@ class Estimator(Protocol):
     """The one plug that recursive filters and snapshot estimators share.
 
     An optional class attribute `tile` says how many replications it wants at once (always exactly that many). An
-    optional method `prepare(say)` is called once before others work in parallel, to compile something, say.
+    optional method `prepare(say)` is called once before others work in parallel, to compile something, say, and an
+    optional `check(scenario)` raises BadValue or UserError where the two do not fit. One whose `sees_truth` is true is
+    defined by the truth, no method for a device: it is called with the true states (R, T, n) as a fourth argument.
     """
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates: ...
