@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -75,8 +75,8 @@ def by_kernel(
     for i in range(R):
         anchors = batch.anchors.of(i)
         centre = anchors.position[0].mean(axis=0)
-        s = padded((anchors.position[0] - centre).T, compiled.LANES)
-        rotation = padded(np.moveaxis(anchors.rotation[0], 0, -1), compiled.LANES)
+        s = padded((anchors.position[0] - centre).T, compiled.LANES, "edge")  # no anchor of zeros, whose angles are NaN
+        rotation = padded(np.moveaxis(anchors.rotation[0], 0, -1), compiled.LANES, "edge")
         compiled.gauss_newton(*options, phi[i], theta[i], wa[i], we[i], s, rotation, x[i], outcome[i], count[i])
         x[i] += centre
     return x, outcome, count
@@ -94,10 +94,10 @@ def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
     return angles[0], angles[1], weights[0], weights[1]
 
 
-def padded(a: Array, lanes: int) -> Array:
-    """The array with its last axis filled up by zeros to a multiple of `lanes`."""
+def padded(a: Array, lanes: int, by: Literal["constant", "edge"] = "constant") -> Array:
+    """The array with its last axis filled up to a multiple of `lanes`, by zeros or by repeating its last element."""
     missing = -a.shape[-1] % lanes
-    return np.ascontiguousarray(np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, missing)]) if missing else a)
+    return np.ascontiguousarray(np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, missing)], by) if missing else a)
 
 
 def planes(batch: Batch, rows: str = "printed") -> Array:

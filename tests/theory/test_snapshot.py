@@ -77,6 +77,18 @@ def test_the_kernel_equals_numpy(azimuth, sigma_deg, as_printed):
     assert np.abs(fast.position - slow.position)[same].max() < 1e-6
 
 
+@pytest.mark.parametrize("B", range(2, 10))
+def test_any_number_of_anchors_will_do(B, rng):
+    """Kernels pad the anchors to a multiple of four; whatever pads must not be seen."""
+    anchors = Anchors(rng.uniform(-5, 5, (1, B, 3)), facing(rng.normal(size=(B, 3)))[None])
+    batch = exact(rng.uniform(-20, 20, (50, 3)), anchors)
+    noisy = replace(batch, azimuth=wrap(batch.azimuth + 0.01 * rng.standard_normal(batch.azimuth.shape)))
+    a, b = (GaussNewton("kcorr", engine=engine)(noisy, None, None) for engine in ENGINES)
+    assert np.mean(a.outcome == Outcome.OK) > 0.9
+    assert np.array_equal(a.outcome, b.outcome)
+    assert np.allclose(a.position, b.position, atol=1e-6)
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_what_is_not_measured_is_left_out(engine, rng):
     anchors = Anchors(rng.uniform(-5, 5, (1, 6, 3)), facing(rng.normal(size=(6, 3)))[None])
