@@ -52,20 +52,26 @@ def direction_information(point: Array, anchors: Anchors, kappa: float | Array) 
 
 
 def crb(information: Array) -> Array:
-    """Lower bound (..., 3, 3) m^2 of any unbiased estimator's covariance; NaN where the information is singular."""
+    """Lower bound (..., n, n) m^2 of any unbiased estimator's covariance; NaN where the information is singular."""
     J = np.asarray(information, dtype=float)
     whole = np.isfinite(J).all((-1, -2))
-    J = np.where(whole[..., None, None], J, np.eye(3))
+    one = np.eye(J.shape[-1])
+    J = np.where(whole[..., None, None], J, one)
     spread = np.linalg.eigvalsh(J)
     whole &= spread[..., 0] > WHOLE * spread[..., -1]
-    J = np.where(whole[..., None, None], J, np.eye(3))
+    J = np.where(whole[..., None, None], J, one)
     return np.where(whole[..., None, None], np.linalg.inv(J), np.nan)
 
 
-def gdop(point: Array, anchors: Anchors, axes: Sequence[int] = (0, 1, 2)) -> Array:
-    """Position error (...) in m per rad of equal angular deviations: sqrt(tr CRB) at sigma = 1 rad over these axes."""
-    bound = crb(azel_information(point, anchors, 1.0, 1.0))
-    return np.sqrt(sum(bound[..., i, i] for i in axes))
+def gdop(point: Array, anchors: Anchors, axes: Sequence[int] = (0, 1, 2), known_z: bool = False) -> Array:
+    """Position error (...) in m per rad of equal angular deviations: sqrt(tr CRB) at sigma = 1 rad over these axes.
+
+    With `known_z` the third row and column of the information are left out [Boquet 2024, (28) and A.1]; the axes are
+    then x and y.
+    """
+    information = azel_information(point, anchors, 1.0, 1.0)
+    bound = crb(information[..., :2, :2] if known_z else information)
+    return np.sqrt(sum(bound[..., i, i] for i in ((0, 1) if known_z else axes)))
 
 
 def _column(sigma: float | Array) -> Array:

@@ -145,8 +145,8 @@ class Batch:
 class Estimates:
     """position (R, T, 3) m, covariance (R, T, 3, 3) m^2 | None, iterations (R, T) | None, outcome (R, T) of Outcome.
 
-    z is NaN where a method works in the plane alone. score (R, T): how badly the measurements of a fix agree, the larger
-    the worse, in a unit of the method's own, NaN = cannot tell; anchors_used (R, T): how many the position rests on.
+    z is NaN where a method works in the plane alone. score (R, T): how badly the measurements of a fix agree, the
+    larger the worse, in a unit of the method's own, NaN = cannot tell; anchors_used (R, T): how many it rests on.
     """
 
     position: Array

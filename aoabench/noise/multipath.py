@@ -1,0 +1,136 @@
+"""Angles and signal strengths of a Bluetooth room with multipath: a campaign's channel, then its packets.
+
+No published recording tells what made the errors of [Boquet 2024, 6.3]; this is a model with as many parameters as that
+section has symptoms, each in YAML. In the order in which they act on the true direction from an anchor:
+
+- wall images: a share of the packets of a day finds the channel `disturbed`, for all anchors at once; each direction is
+  then pulled towards that of the node's mirror image in one of the room's walls, by an exponential fraction. Which
+  wall varies over the floor with the correlation length;
+- a systematic elevation error: directions far from the anchor's pole come out too steep;
+- a bias field over the floor for each anchor and angle, Gaussian with a squared-exponential correlation;
+- an offset for each anchor, angle and day;
+- noise, whose azimuth part grows towards the pole, as that of a planar array does; and Laplace outliers.
+
+Channel means: fields and offsets are drawn once for a replication, a campaign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from aoabench.directional import flip
+from aoabench.geometry import Array, to_azel
+from aoabench.types import BadValue, Measurements, check_array, check_number
+
+_WAVES = 32  # plane waves that make up a field
+
+
+@dataclass(frozen=True)
+class BleMultipath:
+    """What each parameter means stands beside it in configs/noise/ble_multipath.yaml; angles in deg, lengths in m."""
+
+    azimuth_noise_deg: float = 3.0
+    elevation_noise_deg: float = 3.0
+    pole_floor: float = 0.3
+    steep_deg: float = 12.0
+    steep_power: float = 2.0
+    azimuth_bias_deg: float = 5.0
+    elevation_bias_deg: float = 5.0
+    correlation_m: float = 1.5
+    azimuth_day_deg: float = 1.0
+    elevation_day_deg: float = 1.0
+    disturbed: Sequence[float] = (0.3, 0.1)
+    pull: float = 0.3
+    outliers: float = 0.02
+    outlier_deg: float = 20.0
+    lost: float = 0.0334
+    rssi_1m_dbm: float = -45.0
+    rssi_exponent: float = 2.0
+    shadowing_db: float = 4.0
+    fading_db: float = 4.0
+
+    def __post_init__(self) -> None:
+        for key in ("azimuth_noise_deg", "elevation_noise_deg", "correlation_m"):
+            check_number(key, getattr(self, key), above=0)
+        for key in ("steep_deg", "azimuth_bias_deg", "elevation_bias_deg", "azimuth_day_deg", "elevation_day_deg"):
+            check_number(key, getattr(self, key), least=0, most=180)
+        for key in ("steep_power", "pull", "outlier_deg", "rssi_exponent", "shadowing_db", "fading_db"):
+            check_number(key, getattr(self, key), least=0)
+        for key in ("outliers", "lost", "pole_floor"):
+            check_number(key, getattr(self, key), least=0, most=1)
+        check_number("rssi_1m_dbm", self.rssi_1m_dbm)
+        share = check_array("disturbed", self.disturbed, (None,))
+        if not np.all((share >= 0) & (share <= 1)):
+            raise BadValue("disturbed", list(self.disturbed), "a list of shares from 0 to 1, one for each day")
+
+    def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
+        """Azimuth, elevation (T, B) rad and rssi (T, B) dBm of true states (T, n).
+
+        The scenario's `days_of` says which day a step is of (all of one, if it says nothing); days beyond the list of
+        `disturbed` take its last share.
+        """
+        point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
+        anchors, seat = scenario.known_anchors, seat.ravel()
+        day = np.asarray(getattr(scenario, "days_of", np.zeros(len(truth), dtype=int)))
+        T, B, D = len(truth), anchors.position.shape[1], int(day.max()) + 1
+        # the campaign's channel: every draw is made whatever the parameters are, so that two settings are paired
+        bias = np.deg2rad([self.azimuth_bias_deg, self.elevation_bias_deg]) * self._fields(rng, point, (B, 2))
+        walls, shade = self._fields(rng, point, (B, 4)), self._fields(rng, point, (B, 1))[..., 0]
+        offset = np.deg2rad([self.azimuth_day_deg, self.elevation_day_deg]) * rng.standard_normal((D, B, 2))
+        # its packets
+        share = np.array([self.disturbed[min(d, len(self.disturbed) - 1)] for d in range(D)])
+        hit = rng.random(T) < share[day]
+        fraction = np.where(hit[:, None], 1.0 - np.exp(-self.pull * rng.exponential(size=(T, B))), 0.0)
+        noise, laplace = rng.standard_normal((2, T, B)), rng.laplace(size=(2, T, B))
+        outlier, lost = rng.random((T, B)) < self.outliers, rng.random((T, B)) < self.lost
+        fading = rng.standard_normal((T, B))
+        if hasattr(scenario, "reported"):
+            lost |= ~scenario.reported(truth[:, :3])
+
+        seen = [x - anchors.position[0] for x in (point[:, None], self._images(scenario, point, walls))]
+        distance = np.linalg.norm(seen[0], axis=-1)
+        to_node, to_image = (
+            np.einsum(
+                "bij,pbj->pbi", anchors.rotation[0], v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+            )
+            for v in seen
+        )
+        v = (1 - fraction)[..., None] * to_node[seat] + fraction[..., None] * to_image[seat]
+        azimuth, elevation = to_azel(v[..., 0], v[..., 1], v[..., 2])
+        flat = 1.0 - np.abs(elevation) / (np.pi / 2)
+        elevation = elevation + np.copysign(np.deg2rad(self.steep_deg) * flat**self.steep_power, elevation)
+        e = bias[seat] + offset[day]
+        wide = np.maximum(np.cos(elevation), self.pole_floor)
+        scale = np.deg2rad(self.outlier_deg)
+        azimuth = azimuth + e[..., 0] + np.deg2rad(self.azimuth_noise_deg) / wide * noise[0]
+        elevation = elevation + e[..., 1] + np.deg2rad(self.elevation_noise_deg) * noise[1]
+        azimuth, elevation = (y + np.where(outlier, scale * o, 0.0) for y, o in zip((azimuth, elevation), laplace))
+        azimuth, elevation = flip(azimuth, elevation)
+        rssi = self.rssi_1m_dbm - 10 * self.rssi_exponent * np.log10(np.maximum(distance, 0.01))
+        rssi = (rssi + self.shadowing_db * shade)[seat] + self.fading_db * fading
+        stated = (np.full((T, B), np.deg2rad(deg)) for deg in (self.azimuth_noise_deg, self.elevation_noise_deg))
+        azimuth, elevation, rssi = (np.where(lost, np.nan, y) for y in (azimuth, elevation, rssi))
+        return Measurements(azimuth, elevation, None, rssi, *stated)
+
+    def _fields(self, rng: np.random.Generator, point: Array, shape: tuple[int, int]) -> Array:
+        """Gaussian fields (P, *shape) of variance 1 at points (P, 3) m, correlated over the floor: sums of waves."""
+        wave = rng.standard_normal((*shape, 2, _WAVES)) / self.correlation_m
+        phase = rng.uniform(0, 2 * np.pi, (*shape, 1, _WAVES))
+        return np.sqrt(2 / _WAVES) * np.cos(point[:, None, None, None, :2] @ wave + phase).sum(axis=(-2, -1))
+
+    def _images(self, scenario: Any, point: Array, walls: Array) -> Array:
+        """Mirror images (P, B, 3) m of points (P, 3) m, each in the wall whose field (P, B, 4) is the largest.
+
+        The walls are the sides of the scenario's `bounds_m`, or of the box around its points and anchors.
+        """
+        everything = np.concatenate([point[:, :2], scenario.known_anchors.position[0, :, :2]])
+        bounds = getattr(scenario, "bounds_m", None)
+        low, high = (everything.min(axis=0), everything.max(axis=0)) if bounds is None else bounds
+        mirror = np.broadcast_to(point[:, None, None], (*walls.shape, 3)).copy()
+        for i, (axis, side) in enumerate(((0, low[0]), (0, high[0]), (1, low[1]), (1, high[1]))):
+            mirror[:, :, i, axis] = 2 * side - mirror[:, :, i, axis]
+        return np.take_along_axis(mirror, walls.argmax(axis=-1)[..., None, None], axis=2)[:, :, 0]
