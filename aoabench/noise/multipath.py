@@ -5,7 +5,7 @@ section has symptoms, each in YAML. In the order in which they act on the true d
 
 - wall images: a share of the packets of a day finds the channel `disturbed`, for all anchors at once; each direction is
   then pulled towards that of the node's mirror image in one of the room's walls, by an exponential fraction. Which
-  wall varies over the floor with the correlation length;
+  wall, and how strongly, varies over the floor with the correlation length, for each anchor in its own way;
 - a systematic elevation error: directions far from the anchor's pole come out too steep;
 - a bias field over the floor for each anchor and angle, Gaussian with a squared-exponential correlation;
 - an offset for each anchor, angle and day;
@@ -41,10 +41,12 @@ class BleMultipath:
     azimuth_bias_deg: float = 5.0
     elevation_bias_deg: float = 5.0
     correlation_m: float = 1.5
+    anchor_scale: Sequence[float] = (1.0,)
     azimuth_day_deg: float = 1.0
     elevation_day_deg: float = 1.0
     disturbed: Sequence[float] = (0.3, 0.1)
     pull: float = 0.3
+    pull_spread: float = 1.0
     outliers: float = 0.02
     outlier_deg: float = 20.0
     lost: float = 0.0334
@@ -58,11 +60,13 @@ class BleMultipath:
             check_number(key, getattr(self, key), above=0)
         for key in ("steep_deg", "azimuth_bias_deg", "elevation_bias_deg", "azimuth_day_deg", "elevation_day_deg"):
             check_number(key, getattr(self, key), least=0, most=180)
-        for key in ("steep_power", "pull", "outlier_deg", "rssi_exponent", "shadowing_db", "fading_db"):
+        for key in ("steep_power", "pull", "pull_spread", "outlier_deg", "rssi_exponent", "shadowing_db", "fading_db"):
             check_number(key, getattr(self, key), least=0)
         for key in ("outliers", "lost", "pole_floor"):
             check_number(key, getattr(self, key), least=0, most=1)
         check_number("rssi_1m_dbm", self.rssi_1m_dbm)
+        if not np.all(check_array("anchor_scale", self.anchor_scale, (None,)) >= 0):
+            raise BadValue("anchor_scale", list(self.anchor_scale), "a list of numbers >= 0, one for each anchor")
         share = check_array("disturbed", self.disturbed, (None,))
         if not np.all((share >= 0) & (share <= 1)):
             raise BadValue("disturbed", list(self.disturbed), "a list of shares from 0 to 1, one for each day")
@@ -70,21 +74,24 @@ class BleMultipath:
     def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
         """Azimuth, elevation (T, B) rad and rssi (T, B) dBm of true states (T, n).
 
-        The scenario's `days_of` says which day a step is of (all of one, if it says nothing); days beyond the list of
-        `disturbed` take its last share.
+        The scenario's `days_of` says which day a step is of (all of one, if it says nothing). Days beyond the list of
+        `disturbed`, and anchors beyond that of `anchor_scale`, take the last one's.
         """
         point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
         anchors, seat = scenario.known_anchors, seat.ravel()
         day = np.asarray(getattr(scenario, "days_of", np.zeros(len(truth), dtype=int)))
         T, B, D = len(truth), anchors.position.shape[1], int(day.max()) + 1
         # the campaign's channel: every draw is made whatever the parameters are, so that two settings are paired
+        worse = np.array([self.anchor_scale[min(b, len(self.anchor_scale) - 1)] for b in range(B)])
         bias = np.deg2rad([self.azimuth_bias_deg, self.elevation_bias_deg]) * self._fields(rng, point, (B, 2))
-        walls, shade = self._fields(rng, point, (B, 4)), self._fields(rng, point, (B, 1))[..., 0]
+        bias = bias * worse[:, None]
+        walls, (shade, force) = self._fields(rng, point, (B, 4)), np.moveaxis(self._fields(rng, point, (B, 2)), -1, 0)
         offset = np.deg2rad([self.azimuth_day_deg, self.elevation_day_deg]) * rng.standard_normal((D, B, 2))
         # its packets
         share = np.array([self.disturbed[min(d, len(self.disturbed) - 1)] for d in range(D)])
         hit = rng.random(T) < share[day]
-        fraction = np.where(hit[:, None], 1.0 - np.exp(-self.pull * rng.exponential(size=(T, B))), 0.0)
+        strength = self.pull * worse * np.exp(self.pull_spread * force)[seat] * rng.exponential(size=(T, B))
+        fraction = np.where(hit[:, None], 1.0 - np.exp(-strength), 0.0)
         noise, laplace = rng.standard_normal((2, T, B)), rng.laplace(size=(2, T, B))
         outlier, lost = rng.random((T, B)) < self.outliers, rng.random((T, B)) < self.lost
         fading = rng.standard_normal((T, B))

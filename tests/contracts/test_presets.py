@@ -9,20 +9,29 @@ from aoabench.montecarlo import Draws, estimate_tile, run_block, tile_of
 from aoabench.types import Outcome
 
 TIMES = {"ekf_toa_aoa", "wcg", "wcg_as_printed"}  # estimators that need times of arrival
+ROOM = ("anchor", "discrepancy")  # parts of the names of those that need a known height, and some signal strengths
 ESTIMATORS = [("filter", n) for n in options("filter")] + [("estimator", n) for n in options("estimator")]
 
 
-@pytest.mark.parametrize("scenario", options("scenario"))
-@pytest.mark.parametrize("noise", options("noise"))
+def setting(name, noise, track="square_track"):
+    """The scenario and noise to try an estimator in."""
+    if any(part in name for part in ROOM):
+        return ["scenario=ble_room", "noise=ble_multipath", "scenario.packets=6"]
+    return [f"scenario={track}", f"noise={'ofdm_crlb' if name in TIMES else noise}"]
+
+
+@pytest.mark.parametrize("scenario", [s for s in options("scenario") if s != "recorded"])
+@pytest.mark.parametrize("noise", [n for n in options("noise") if n != "recorded"])
 def test_every_scenario_with_every_noise(scenario, noise):
-    one = "estimator=[ml_kcorr]" if scenario.startswith("bs_grid") else "filter=[ekf_aoa]"
+    still = scenario.startswith(("bs_grid", "ble_room"))
+    one = "estimator=[ml_kcorr]" if still else "filter=[ekf_aoa]"
     cell = compose_cells([f"scenario={scenario}", f"noise={noise}", one])[0]
     rows = next(iter(run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3).values()))["rows"]
     assert np.all(np.isfinite(rows["rmse_3d_m"]))
     truth, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 2)
     azimuth, elevation = (a[np.isfinite(a)] for a in (batch.azimuth, batch.elevation))
     assert np.all((azimuth > -np.pi) & (azimuth <= np.pi))
-    if noise in ("ae_flip", "vmf"):
+    if noise in ("ae_flip", "vmf", "ble_multipath"):
         assert np.all(np.abs(elevation) <= np.pi / 2)
     assert truth.shape[0] == 2
 
@@ -30,7 +39,7 @@ def test_every_scenario_with_every_noise(scenario, noise):
 @pytest.mark.parametrize(("group", "name"), ESTIMATORS)
 @pytest.mark.parametrize("noise", ["ae_flip", "vmf"])
 def test_every_estimator_keeps_the_contract(group, name, noise):
-    cell = compose_cells([f"noise={'ofdm_crlb' if name in TIMES else noise}", f"{group}=[{name}]"])[0]
+    cell = compose_cells([*setting(name, noise), f"{group}=[{name}]"])[0]
     estimator = cell.estimators[name]
     truth, e = estimate_tile(Draws(cell.scenario, cell.noise, 1), estimator, 0)
     R, T = truth.shape[:2]
@@ -39,9 +48,12 @@ def test_every_estimator_keeps_the_contract(group, name, noise):
     assert e.outcome.shape == (R, T)
     assert set(np.unique(e.outcome)) <= set(Outcome)
     failed = np.isin(e.outcome, [Outcome.FAILED, Outcome.REJECTED])
-    assert np.all(np.isfinite(e.position[~failed]))
+    axes = 2 if np.all(np.isnan(e.position[..., 2])) else 3
+    assert np.all(np.isfinite(e.position[~failed][:, :axes]))
+    for said in (e.score, e.anchors_used):
+        assert said is None or said.shape == (R, T)
     if e.covariance is not None:
-        P = e.covariance[~failed]
+        P = e.covariance[~failed][:, :axes, :axes]
         assert np.allclose(P, np.swapaxes(P, -1, -2))
         spread = np.linalg.eigvalsh(P)
         assert np.all((spread[..., 0] > 0) | (spread[..., -1] == 0))  # 0: one particle has all the weight
@@ -49,10 +61,9 @@ def test_every_estimator_keeps_the_contract(group, name, noise):
 
 @pytest.mark.parametrize(("group", "name"), ESTIMATORS)
 def test_every_estimator_is_better_than_no_measurement_at_all(group, name):
-    """The track is 5 m wide; whoever ignores the measurements is off by more than 3 m."""
-    noise = "ofdm_crlb" if name in TIMES else "vmf"
-    cell = compose_cells(["scenario=square_track_upright", f"noise={noise}", f"{group}=[{name}]"])[0]
-    reps = 64 if tile_of(cell.estimators[name]) > 1 else 8
+    """The track is 5 m wide, the room 7; whoever ignores the measurements is off by more than 3 m."""
+    cell = compose_cells([*setting(name, "vmf", "square_track_upright"), f"{group}=[{name}]"])[0]
+    reps = 64 if tile_of(cell.estimators[name]) > 8 else 8
     rows = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, reps)[name]["rows"]
     assert np.median(rows["rmse_3d_m"]) < (1.5 if group == "filter" else 2.5)
 

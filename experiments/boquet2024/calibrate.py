@@ -1,0 +1,150 @@
+"""Fit the parameters of `ble_multipath` to what the paper prints, and judge them on campaigns the fit has not seen.
+
+    python -m experiments.boquet2024.calibrate [--search 300] [--starts 3] [--seeds 6] [--fresh 20] [--write]
+
+The fit sees `--seeds` campaigns of root seed 2024, always the same draws, so that the misfit is a smooth enough
+function of the parameters. It minimises the squared `misfit`s of numbers.py and the log ratios to the printed grids,
+robustly (soft L1), by scipy's least squares from the `--starts` best of `--search` random points and the shipped one.
+The judgement uses `--fresh` campaigns of root seed 1, as the study does. `--write` puts the result into
+configs/noise/ble_multipath.yaml.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+
+from aoabench import store
+from aoabench.composing import compose_cells
+from aoabench.estimators.discrepancy import Discrepancy
+from aoabench.montecarlo import run_block
+from aoabench.noise.multipath import BleMultipath
+from aoabench.report import study
+from aoabench.tables import Fixes
+
+numbers = study.load("boquet2024").numbers
+FIT_SEED, FRESH_SEED = 2024, 1
+METHODS = ("single_anchor_2", "anchor_mean", "vmf_ml")
+GRID_WEIGHT = (
+    0.35  # a log ratio of this much at every point of a grid weighs as much as one misfit of 1 times sqrt(42 / 8)
+)
+
+# what is fitted, with the bounds of each; shares and positive numbers move on their logarithms
+FREE = {
+    "azimuth_noise_deg": (0.5, 6), "elevation_noise_deg": (0.5, 10), "steep_deg": (6, 35), "steep_power": (0.5, 5),
+    "azimuth_bias_deg": (0.5, 12), "elevation_bias_deg": (0.5, 12), "azimuth_day_deg": (0.2, 4),
+    "elevation_day_deg": (0.2, 4), "disturbed_1": (0.05, 0.9), "disturbed_2": (0.03, 0.7), "pull": (0.03, 2),
+    "pull_spread": (0.1, 3), "correlation_m": (0.4, 3), "outliers": (0.003, 0.2), "outlier_deg": (3, 60),
+    "anchor_scale_2": (0.5, 4), "anchor_scale_3": (0.5, 4),
+}  # fmt: skip
+
+
+def noise_of(x: np.ndarray) -> BleMultipath:
+    """The noise model of a point in the space of logarithms."""
+    value = {name: float(v) for name, v in zip(FREE, np.exp(x))}
+    lists = {
+        "disturbed": (value.pop("disturbed_1"), value.pop("disturbed_2")),
+        "anchor_scale": (1.0, value.pop("anchor_scale_2"), value.pop("anchor_scale_3")),
+    }
+    return replace(BleMultipath(), **value, **lists)  # type: ignore[arg-type]
+
+
+def campaigns(noise: BleMultipath, seed: int, count: int, packets: int) -> tuple[Any, dict[str, Fixes]]:
+    """A cell of the room with this noise, and the fixes of `count` campaigns."""
+    cell = compose_cells(
+        ["scenario=ble_room", "noise=ble_multipath", f"estimator=[{','.join(METHODS)}]", f"scenario.packets={packets}"]
+    )[0]
+    cell = replace(cell, noise=noise, seed=seed)
+    filters = {f"df_boxes_{round(10 * r):02d}": Discrepancy(r_sigma=r) for r in numbers.SWEEP}
+    found = run_block(cell.scenario, noise, {**cell.estimators, **filters}, seed, 0, count)
+    names = [f.name for f in fields(Fixes)]
+    return cell, {name: Fixes(**{n: block["fixes"][n] for n in names}) for name, block in found.items()}
+
+
+def table(noise: BleMultipath, seed: int, count: int, packets: int) -> pd.DataFrame:
+    """The misfits of `count` campaigns."""
+    cell, fixes = campaigns(noise, seed, count, packets)
+    days = numbers.day_statistics(cell.scenario, noise, seed, 0, count)
+    return pd.DataFrame(list(numbers.misfits(fixes, days, len(cell.scenario.points_m))))
+
+
+def residuals(x: np.ndarray, count: int, packets: int) -> np.ndarray:
+    """Everything that the fit makes small."""
+    cell, fixes = campaigns(noise_of(x), FIT_SEED, count, packets)
+    days = numbers.day_statistics(cell.scenario, cell.noise, FIT_SEED, 0, count)
+    rows = numbers.misfits(fixes, days, len(cell.scenario.points_m))
+    found = [row["misfit"] for row in rows if "misfit" in row]
+    for name, grid in numbers.printed_grids().items():
+        if name in fixes:
+            ours = np.nanmean(numbers.medians(numbers.error(fixes[name]), len(grid)), axis=0)
+            found += list(np.log(ours / grid) / GRID_WEIGHT / np.sqrt(len(grid) / 8))
+    return np.nan_to_num(np.array(found), nan=10.0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    for name, default in (("search", 300), ("starts", 3), ("seeds", 6), ("packets", 12), ("fresh", 20)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--write", action="store_true")
+    args = parser.parse_args()
+    low, high = (np.log([bound[i] for bound in FREE.values()]) for i in (0, 1))
+    shipped = BleMultipath(**{k: v for k, v in _shipped().items() if not k.startswith("_")})
+    tried = np.random.default_rng(0).uniform(low, high, (args.search, len(low)))
+    tried = np.vstack([np.clip(np.log([_value(shipped, name) for name in FREE]), low + 1e-3, high - 1e-3), tried])
+    cost = [_cost(residuals(x, 3, 8)) for x in tried]
+    best = None
+    for start in np.argsort(cost)[: args.starts]:
+        found = least_squares(
+            residuals, tried[start], bounds=(low, high), args=(args.seeds, args.packets), diff_step=0.05, max_nfev=15,
+            loss="soft_l1",
+        )  # fmt: skip
+        print(f"from {cost[start]:.3f}: cost {found.cost:.3f} after {found.nfev} steps", flush=True)
+        best = found if best is None or found.cost < best.cost else best
+    assert best is not None
+    rounded = {name: float(f"{_value(noise_of(best.x), name):.3g}") for name in FREE}
+    noise = noise_of(np.log(list(rounded.values())))
+    for name, value in rounded.items():
+        print(f"{name}: {value:g}")
+    print(table(noise, FRESH_SEED, args.fresh, 100).to_string(index=False))
+    if args.write:
+        _write(rounded)
+
+
+def _cost(r: np.ndarray) -> float:
+    return float(np.sum(np.sqrt(1 + r**2) - 1))
+
+
+def _value(noise: BleMultipath, name: str) -> float:
+    stem, _, number = name.rpartition("_")
+    if number.isdigit():
+        values = getattr(noise, stem)
+        return float(values[min(int(number), len(values)) - 1])
+    return float(getattr(noise, name))
+
+
+def _shipped() -> dict[str, Any]:
+    cell = compose_cells(["scenario=ble_room", "noise=ble_multipath", "estimator=[anchor_mean]"])[0]
+    return dict(cell.config["noise"])
+
+
+def _write(values: dict[str, float]) -> None:
+    path = store.shipped("configs") / "noise" / "ble_multipath.yaml"
+    text = path.read_text(encoding="utf-8")
+    values = dict(values)
+    lists = {
+        "disturbed": f"[{values.pop('disturbed_1'):g}, {values.pop('disturbed_2'):g}]",
+        "anchor_scale": f"[1, {values.pop('anchor_scale_2'):g}, {values.pop('anchor_scale_3'):g}]",
+    }
+    for name, value in {**{k: f"{v:g}" for k, v in values.items()}, **lists}.items():
+        text = re.sub(rf"(?m)^{name}: \S.*?(\s+#)", rf"{name}: {value}\1", text)
+    path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
