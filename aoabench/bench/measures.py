@@ -290,6 +290,19 @@ def snapshot(repeats: int) -> Iterator[Row]:
     yield Row("against SciPy", "ml_kcorr", us["scipy"] / us["ml_kcorr"], "x", "", other)
 
 
+def room(repeats: int) -> Iterator[Row]:
+    """Microseconds per fix of the office room's estimators, three anchors."""
+    names = ["anchor_mean", "ls_lines", "ls_anchor_discarding", "vmf_ml", "discrepancy", "discrepancy_exact"]
+    words = ["scenario=ble_room", "noise=ble_multipath", "scenario.packets=24"]
+    cell = compose_cells([*words, f"estimator=[{','.join(names)}]"])[0]
+    laps = {name: _Laps(cell, name) for name in names}
+    found = in_turn({**laps}, repeats)
+    how = f"median of {repeats}, in turn; 42 points x 24 packets, 3 anchors, the shipped noise; one core"
+    targets = {"discrepancy": "at most 0.8", "discrepancy_exact": "at most 18"}
+    for name, lap in laps.items():
+        yield Row("time per fix", name, 1e6 * found[name] / lap.steps, "us", targets.get(name, ""), how)
+
+
 def access_nodes(repeats: int) -> Iterator[Row]:
     """Microseconds per trial and step on the indoor map: EKFs with nine states at eight access nodes, the centroid."""
     names = ["ekf_toa_aoa", "ekf_aoa", "wcg"]
@@ -418,4 +431,17 @@ def _command(words: list[str], repeats: int, environment: dict[str, str] | None 
     return statistics.median(seconds)
 
 
-ALL = (kalman, particle, snapshot, access_nodes, generality, start, interrupt, scaling, memory, studies, precision)
+ALL = (
+    kalman,
+    particle,
+    snapshot,
+    room,
+    access_nodes,
+    generality,
+    start,
+    interrupt,
+    scaling,
+    memory,
+    studies,
+    precision,
+)

@@ -41,11 +41,11 @@ class BleMultipath:
     azimuth_bias_deg: float = 5.0
     elevation_bias_deg: float = 5.0
     correlation_m: float = 1.5
-    anchor_scale: Sequence[float] = (1.0,)
+    bias_scale: Sequence[float] = (1.0,)
     azimuth_day_deg: float = 1.0
     elevation_day_deg: float = 1.0
     disturbed: Sequence[float] = (0.3, 0.1)
-    pull: float = 0.3
+    pull: Sequence[float] = (0.3,)
     pull_spread: float = 1.0
     outliers: float = 0.02
     outlier_deg: float = 20.0
@@ -60,13 +60,14 @@ class BleMultipath:
             check_number(key, getattr(self, key), above=0)
         for key in ("steep_deg", "azimuth_bias_deg", "elevation_bias_deg", "azimuth_day_deg", "elevation_day_deg"):
             check_number(key, getattr(self, key), least=0, most=180)
-        for key in ("steep_power", "pull", "pull_spread", "outlier_deg", "rssi_exponent", "shadowing_db", "fading_db"):
+        for key in ("steep_power", "pull_spread", "outlier_deg", "rssi_exponent", "shadowing_db", "fading_db"):
             check_number(key, getattr(self, key), least=0)
         for key in ("outliers", "lost", "pole_floor"):
             check_number(key, getattr(self, key), least=0, most=1)
         check_number("rssi_1m_dbm", self.rssi_1m_dbm)
-        if not np.all(check_array("anchor_scale", self.anchor_scale, (None,)) >= 0):
-            raise BadValue("anchor_scale", list(self.anchor_scale), "a list of numbers >= 0, one for each anchor")
+        for key in ("bias_scale", "pull"):
+            if not np.all(check_array(key, getattr(self, key), (None,)) >= 0):
+                raise BadValue(key, list(getattr(self, key)), "a list of numbers >= 0, one for each anchor")
         share = check_array("disturbed", self.disturbed, (None,))
         if not np.all((share >= 0) & (share <= 1)):
             raise BadValue("disturbed", list(self.disturbed), "a list of shares from 0 to 1, one for each day")
@@ -75,22 +76,20 @@ class BleMultipath:
         """Azimuth, elevation (T, B) rad and rssi (T, B) dBm of true states (T, n).
 
         The scenario's `days_of` says which day a step is of (all of one, if it says nothing). Days beyond the list of
-        `disturbed`, and anchors beyond that of `anchor_scale`, take the last one's.
+        `disturbed`, and anchors beyond those of `bias_scale` and `pull`, take the last one's.
         """
         point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
         anchors, seat = scenario.known_anchors, seat.ravel()
         day = np.asarray(getattr(scenario, "days_of", np.zeros(len(truth), dtype=int)))
         T, B, D = len(truth), anchors.position.shape[1], int(day.max()) + 1
         # the campaign's channel: every draw is made whatever the parameters are, so that two settings are paired
-        worse = np.array([self.anchor_scale[min(b, len(self.anchor_scale) - 1)] for b in range(B)])
         bias = np.deg2rad([self.azimuth_bias_deg, self.elevation_bias_deg]) * self._fields(rng, point, (B, 2))
-        bias = bias * worse[:, None]
+        bias = bias * _each(self.bias_scale, B)[:, None]
         walls, (shade, force) = self._fields(rng, point, (B, 4)), np.moveaxis(self._fields(rng, point, (B, 2)), -1, 0)
         offset = np.deg2rad([self.azimuth_day_deg, self.elevation_day_deg]) * rng.standard_normal((D, B, 2))
         # its packets
-        share = np.array([self.disturbed[min(d, len(self.disturbed) - 1)] for d in range(D)])
-        hit = rng.random(T) < share[day]
-        strength = self.pull * worse * np.exp(self.pull_spread * force)[seat] * rng.exponential(size=(T, B))
+        hit = rng.random(T) < _each(self.disturbed, D)[day]
+        strength = _each(self.pull, B) * np.exp(self.pull_spread * force)[seat] * rng.exponential(size=(T, B))
         fraction = np.where(hit[:, None], 1.0 - np.exp(-strength), 0.0)
         noise, laplace = rng.standard_normal((2, T, B)), rng.laplace(size=(2, T, B))
         outlier, lost = rng.random((T, B)) < self.outliers, rng.random((T, B)) < self.lost
@@ -141,3 +140,8 @@ class BleMultipath:
         for i, (axis, side) in enumerate(((0, low[0]), (0, high[0]), (1, low[1]), (1, high[1]))):
             mirror[:, :, i, axis] = 2 * side - mirror[:, :, i, axis]
         return np.take_along_axis(mirror, walls.argmax(axis=-1)[..., None, None], axis=2)[:, :, 0]
+
+
+def _each(values: Sequence[float], count: int) -> Array:
+    """The values of `count` days or anchors; those beyond the list take its last."""
+    return np.array([values[min(i, len(values) - 1)] for i in range(count)])

@@ -340,13 +340,13 @@ def fig8(frame: pd.DataFrame) -> Figure:
     panels = [(f"{NAMES[m]}, ours", m, "median_m") for m in NAMES]
     panels += [(f"{NAMES[m]}, printed", m, "printed_m") for m in ("single_anchor_2", "anchor_mean", "vmf_ml")]
     panels += [("M IAD or A rssi, printed", "ls_anchor_discarding", "unnamed_m")]
-    figure, axes = new(PAGE, 7.6, rows=3, cols=5, sharex=True, sharey=True)
+    figure, axes = new(PAGE, 6.0, rows=3, cols=5, sharex=True, sharey=True)
     for axis, (title, method, column) in zip(axes.ravel(), panels):
         rows = frame[frame["method"] == method]
         _map(axis, rows, rows[column].to_numpy(), cmap=shades, norm=norm, alpha=0.55)
         for r in rows.to_dict("records"):
             axis.text(r["x_m"], r["y_m"], f"{r[column]:.2f}", ha="center", va="center", fontsize=4.5)
-        axis.plot([3.7, 1.8, 5.6], [4.0, 6.9, 6.9], "^", color="black", ms=4, mec="white", mew=0.5)
+        axis.plot([3.7, 1.8, 5.6], [4.0, 6.9, 6.9], "^", mfc="none", mec="black", ms=7, mew=0.7)
         axis.set(title=title)
     for axis in axes.ravel()[len(panels) :]:
         axis.set_axis_off()
@@ -442,7 +442,7 @@ def boxes_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """As meant minus as printed, in percent points, and the share of the packets that it moves."""
+    """Put right minus as the paper ran it, in percent points, and the share of the packets that it moves."""
     return {
         f"errata/{r['variant']}/{key}": _estimate(r, key) for r in frame.to_dict("records") for key in ("more", "moved")
     }

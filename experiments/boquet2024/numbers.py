@@ -7,6 +7,7 @@ all fixes leaves out one campaign at a time (jackknife). Errors are horizontal.
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -79,8 +80,8 @@ def discarded(f: Fixes, all_of_them: Fixes) -> Estimate:
 
 def medians(e: np.ndarray, points: int) -> np.ndarray:
     """Each campaign's median error (R, P) m at each point; NaN where all its fixes are rejected."""
-    with np.testing.suppress_warnings() as quiet:
-        quiet.filter(RuntimeWarning)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
         return np.nanmedian(e.reshape(len(e), points, -1), axis=2)
 
 
@@ -424,8 +425,8 @@ def misfits(fixes: dict[str, Fixes], days: dict[str, np.ndarray], points: int) -
     the misfit in units of `tolerance`, which weighs the fit."""
     for r, (p, share) in SWEEP.items():
         f = filters(fixes)[r]
-        yield _misfit(f"P(error <= 1 m) at R_sigma = {r:g}", f"within/{r:g}", p, within(error(f)), 0.03)
-        yield _misfit(f"R_d at R_sigma = {r:g}", f"lost/{r:g}", share, lost(f), 0.03)
+        yield _misfit(f"P(error <= 1 m) at R_sigma = {r:g}", f"within/{r:g}", p, within(error(f)), 0.02)
+        yield _misfit(f"R_d at R_sigma = {r:g}", f"lost/{r:g}", share, lost(f), 0.02)
     for key, printed in DAYS.items():
         for d, value in enumerate(printed):
             ours = statistics.mean(days[key][:, d])
@@ -436,9 +437,7 @@ def misfits(fixes: dict[str, Fixes], days: dict[str, np.ndarray], points: int) -
             yield _misfit(
                 f"mean of {name}'s medians [m]", f"grid/{name}", grid.mean(), statistics.mean(np.nanmean(m, 1)), 0.1
             )
-            with np.testing.suppress_warnings() as quiet:
-                quiet.filter(RuntimeWarning)
-                ours = np.nanmean(m, axis=0)
+            ours = np.nanmean(m, axis=0)
             off = float(np.sqrt(np.nanmean(np.log(ours / grid) ** 2)))
             inside = (grid >= np.nanquantile(m, 0.05, axis=0)) & (grid <= np.nanquantile(m, 0.95, axis=0))
             yield {
@@ -496,16 +495,16 @@ def boxes(runs: Runs) -> pd.DataFrame:
 
 
 def errata(runs: Runs) -> pd.DataFrame:
-    """What each erratum does alone at R_sigma = 1: P(error <= 1 m) of the shipped filter minus that of the variant, in
-    percent points, and the share of the packets that it moves."""
+    """What each erratum does alone at R_sigma = 1: P(error <= 1 m) put right minus as the paper ran it, in percent
+    points, and the share of the packets that it moves."""
     _, fixes = only(runs)
-    meant = filters(fixes)[1.0]
+    ran = filters(fixes)[1.0]
     rows = []
-    for name in ("df_first_of_ties", "df_centre_of_estimate"):
+    for name in ("df_area_of_ties", "df_centre_of_estimate"):
         f = fixes[name]
-        d = difference(error(meant), error(f))
-        moved = np.abs(error(meant) - error(f)) > 1e-4
-        moved |= meant.outcome != f.outcome
+        d = difference(error(f), error(ran))
+        moved = np.abs(error(ran) - error(f)) > 1e-4
+        moved |= ran.outcome != f.outcome
         m = statistics.mean(moved.mean(axis=1))
         rows.append(
             {

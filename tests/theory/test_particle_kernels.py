@@ -415,6 +415,7 @@ def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
         "filters.kalman_kernels",
         "filters.access_node_kernels",
         "estimators.snapshot_kernels",
+        "estimators.discrepancy_kernels",
     ],
 )
 def test_kernels_use_only_their_own_file(name):
@@ -435,6 +436,7 @@ def test_kernels_use_only_their_own_file(name):
         ("filters.kalman", "kalman_kernels.py"),
         ("filters.access_nodes", "access_node_kernels.py"),
         ("estimators.maximum_likelihood", "snapshot_kernels.py"),
+        ("estimators.discrepancy", "discrepancy_kernels.py"),
     ],
 )
 def test_results_are_keyed_on_the_kernels_source(module, kernels_, monkeypatch):

@@ -191,7 +191,7 @@ def test_clipping_is_a_flag():
     (["estimator=[anchor_mean]", "estimator.anchor_mean.anchors=[1,1]"], r"anchors=\[1, 1\]"),
     (["estimator=[anchor_mean]", "estimator.anchor_mean.anchors=[7]"], r"anchors=7"),
     (["estimator=[vmf_ml]", "estimator.vmf_ml.height_m=low"], r"height_m='low' .* or free"),
-    (["estimator=[anchor_mean]", "noise.pull=-1"], r"noise.pull=-1"),
+    (["estimator=[anchor_mean]", "noise.pull=[-1]"], r"noise.pull=.* numbers >= 0"),
     (["estimator=[anchor_mean]", "noise.disturbed=[0.2,1.5]"], r"noise.disturbed=.* shares from 0 to 1"),
     (["estimator=[anchor_mean]", "noise.correlation_m=0"], r"noise.correlation_m=0"),
     (["estimator=[anchor_mean]", "scenario.days=3", "scenario.packets=2"], r"scenario.days=3"),
@@ -256,7 +256,7 @@ def test_fields_have_the_stated_deviation_and_correlation(rng):
 
 
 def test_biases_belong_to_the_campaign_and_the_place():
-    e, _, scenario, _ = errors(quiet(azimuth_bias_deg=5, anchor_scale=(1.0, 0.0, 2.0)), "scenario.packets=6")
+    e, _, scenario, _ = errors(quiet(azimuth_bias_deg=5, bias_scale=(1.0, 0.0, 2.0)), "scenario.packets=6")
     by_point = e[0].reshape(4, 42, 6, 3)
     assert np.allclose(by_point, by_point[:, :, :1], atol=1e-6)
     assert np.all(np.std(by_point[:, :, 0, 0], axis=0) > 0.1), "another campaign, another channel"
@@ -270,7 +270,7 @@ def test_biases_belong_to_the_campaign_and_the_place():
 
 def test_disturbed_packets_are_pulled_at_all_anchors_at_once():
     """A share of 0.25 of 4 x 42 x 200 packets: five standard errors are 0.012."""
-    e, _, _, _ = errors(quiet(disturbed=(0.25, 0.0), pull=0.5), "scenario.packets=400")
+    e, _, _, _ = errors(quiet(disturbed=(0.25, 0.0), pull=(0.5,)), "scenario.packets=400")
     moved = (np.hypot(*e) > 1e-7).reshape(4, 42, 2, 200, 3)
     assert not moved[:, :, 1].any()
     assert np.all(moved.all(-1) == moved.any(-1))
@@ -278,7 +278,7 @@ def test_disturbed_packets_are_pulled_at_all_anchors_at_once():
 
 
 def test_a_full_pull_points_at_a_wall_image():
-    e, batch, scenario, _ = errors(quiet(disturbed=(1, 1), pull=1e9, pull_spread=0), "scenario.packets=2", reps=1)
+    e, batch, scenario, _ = errors(quiet(disturbed=(1, 1), pull=(1e9,), pull_spread=0), "scenario.packets=2", reps=1)
     p, s = scenario.truth(None)[:, :3], scenario.known_anchors.position[0]
     images = np.stack([p * [-1, 1, 1], p * [-1, 1, 1] + [14.4, 0, 0], p * [1, -1, 1], p * [1, -1, 1] + [0, 17, 0]])
     azimuth = np.arctan2(*np.moveaxis(images[:, :, None, :2] - s[:, :2], -1, 0)[::-1])

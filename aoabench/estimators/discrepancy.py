@@ -1,0 +1,234 @@
+"""The discrepancy filter (DF): a vote among the anchors' ellipses, then fusion of those that agree [Boquet 2024, 5].
+
+S1  Each anchor's ray, and its azimuth and elevation moved by one deviation sigma = R_sigma sigma-hat, meet the plane of
+    the node's known height; the points there make an ellipse E_i with centre mu_i and Sigma_i       (12)-(17)
+S2  M* is the largest set of anchors whose ellipses have a common point                               (18)-(19)
+S3  Sigma = (sum_{M*} Sigma_i^-1)^-1,   mu = Sigma sum_{M*} Sigma_i^-1 mu_i                           (20)-(21)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from aoabench import kernels
+from aoabench.estimators import ellipses
+from aoabench.estimators.anchors import clipped, plane_of
+from aoabench.geometry import Array, to_unit
+from aoabench.streams import Streams
+from aoabench.types import Anchors, BadValue, Batch, Estimates, Outcome, check_choice, check_number
+
+if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
+    from aoabench.estimators import discrepancy_kernels  # noqa: F401
+
+KERNELS = "estimators.discrepancy_kernels"
+CENTRES = ("midpoint", "estimate")
+INTERSECTIONS = ("boxes", "exact")
+TIES = ("area", "first")
+MOST = 62  # anchors: the kernel's sets are bits of an integer
+LEAST_AXIS = 1e-6  # m; an ellipse keeps an inside
+EVEN = 1e-9  # ratios (19) that differ by less are the same
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """r_sigma times azimuth_sigma_deg and elevation_sigma_deg are the deviations that shape the ellipses.
+
+    centre: of an ellipse, the `midpoint` (12) of the projections of elevation +- sigma, or the projected `estimate`;
+    minimum_axis_m: lower limit of both half-axes; horizon_deg (0, 89]: rays look at least this far towards the plane;
+    intersection: what must have a common point, the ellipses' bounding `boxes` or the ellipses (`exact`); ties: among
+    several largest sets the one of the largest ratio (19) of `area`s, or the `first` in the order of anchor numbers;
+    vote: false leaves S2 out; clip: positions are moved into the scenario's bounds; height_m: of the plane, null for
+    the scenario's.
+    """
+
+    r_sigma: float = 1.0
+    azimuth_sigma_deg: float = 8.1
+    elevation_sigma_deg: float = 11.1
+    centre: str = "midpoint"
+    minimum_axis_m: float = 0.1
+    horizon_deg: float = 1.0
+    intersection: str = "boxes"
+    ties: str = "area"
+    vote: bool = True
+    clip: bool = True
+    height_m: float | None = None
+    engine: str = "auto"
+    tile: ClassVar[int] = 8
+
+    def __post_init__(self) -> None:
+        check_number("r_sigma", self.r_sigma, above=0)
+        for name in ("azimuth_sigma_deg", "elevation_sigma_deg"):
+            check_number(name, getattr(self, name), above=0, most=90)
+            check_number("r_sigma", self.r_sigma, above=0, most=90 / getattr(self, name))
+        check_number("minimum_axis_m", self.minimum_axis_m, least=0)
+        check_number("horizon_deg", self.horizon_deg, above=0, most=89)
+        check_choice("centre", self.centre, CENTRES)
+        check_choice("intersection", self.intersection, INTERSECTIONS)
+        check_choice("ties", self.ties, TIES)
+        for name in ("vote", "clip"):
+            if not isinstance(getattr(self, name), bool):
+                raise BadValue(name, getattr(self, name), "true or false")
+        check_number("height_m", self.height_m, optional=True)
+        kernels.check_engine(self.engine)
+
+    def check(self, scenario: Any) -> None:
+        """Raise BadValue where the scenario leaves the plane open or has more anchors than the vote can count."""
+        plane_of(self.height_m, scenario)
+        B = scenario.known_anchors.position.shape[1]
+        if self.vote and B > MOST:
+            raise BadValue("vote", True, f"false: the scenario has {B} anchors, and at most {MOST} can vote")
+
+    def prepare(self, say: Callable[[str], None]) -> None:
+        """Compile what is needed, before others work in parallel."""
+        if self.engine == "auto":
+            kernels.prepare(KERNELS, say)
+
+    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+        """One position per fix; `rejected` where fewer than two ellipses agree, `failed` where no anchor measured."""
+        self.check(scenario)
+        height = plane_of(self.height_m, scenario)
+        compiled = kernels.load(KERNELS) if self.engine == "auto" else None
+        R, T, _ = batch.azimuth.shape
+        found = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T), dtype=np.int8), np.empty((R, T))
+        for i in range(R):
+            given = batch.azimuth[i], batch.elevation[i], batch.anchors.of(i), height
+            into = tuple(a[i] for a in found)
+            if compiled is None:
+                self.fixes(*given, *into)
+            else:
+                self.by_kernel(compiled, *given, *into)
+        position, covariance, outcome, used = found
+        position[..., :2] = clipped(position[..., :2], scenario, self.clip)
+        return Estimates(position, covariance, None, outcome, None, used)
+
+    @property
+    def deviations(self) -> tuple[float, float]:
+        """Of azimuth and elevation, rad."""
+        return self.r_sigma * math.radians(self.azimuth_sigma_deg), self.r_sigma * math.radians(
+            self.elevation_sigma_deg
+        )
+
+    @property
+    def slope(self) -> float:
+        """Tangent of the smallest angle between a ray and the plane."""
+        return math.tan(math.radians(self.horizon_deg))
+
+    @property
+    def least_axis(self) -> float:
+        """Lower limit of the half-axes, m."""
+        return max(self.minimum_axis_m, LEAST_AXIS)
+
+    def by_kernel(
+        self,
+        compiled: ModuleType,
+        azimuth: Array,
+        elevation: Array,
+        anchors: Anchors,
+        height: float,
+        *found: np.ndarray,
+    ) -> None:
+        """`fixes`, compiled."""
+        centre = CENTRES.index(self.centre)
+        vote = compiled.NO_VOTE if not self.vote else INTERSECTIONS.index(self.intersection)
+        sa, se = self.deviations
+        sines = np.array([math.sin(sa), math.cos(sa), math.sin(se), math.cos(se)])
+        angles = np.ascontiguousarray(azimuth), np.ascontiguousarray(elevation)
+        s, R = np.ascontiguousarray(anchors.position[0]), np.ascontiguousarray(anchors.rotation[0])
+        compiled.discrepancy(
+            centre, vote, TIES.index(self.ties), self.slope, sines, self.least_axis, *angles, s, R, height, *found
+        )
+
+    def fixes(
+        self, azimuth: Array, elevation: Array, anchors: Anchors, height: float,
+        position: Array, covariance: Array, outcome: np.ndarray, used: Array,
+    ) -> None:  # fmt: skip
+        """Position (N, 3), covariance (N, 3, 3), outcome and number of anchors used (N,) from angles (N, B)."""
+        position[:], covariance[:], outcome[:], used[:] = np.nan, np.nan, Outcome.FAILED, 0
+        missing = ~(np.isfinite(azimuth) & np.isfinite(elevation))
+        m, L = self.ellipses_of(np.where(missing, np.nan, azimuth), np.where(missing, 0, elevation), anchors, height)
+        for k in range(len(m)):
+            known = np.flatnonzero(~missing[k])
+            if len(known):
+                chosen = known[self.selected(m[k, known], L[k, known])]
+                used[k], outcome[k] = len(chosen), Outcome.OK if len(chosen) else Outcome.REJECTED
+                if len(chosen):
+                    position[k, :2], covariance[k, :2, :2] = fused(m[k, chosen], L[k, chosen])
+
+    def ellipses_of(self, azimuth: Array, elevation: Array, anchors: Anchors, height: float) -> tuple[Array, Array]:
+        """S1: centres (N, B, 2) m and L = R S (N, B, 2, 2) of the ellipses, from angles (N, B) of anchors (1, B, ...).
+
+        For an upright anchor the half-axis a (13) is radial, as (15) has it: a lies along p_phi+ - p_phi-, which is
+        the same line, and still one at the nadir, where the ellipse's centre is the anchor's foot.
+        """
+        s, R = anchors.position[0], anchors.rotation[0]
+        to_plane = height - s[:, 2]
+        sa, se = self.deviations
+
+        def seen(p: Array) -> tuple[Array, Array]:  # f^-1: azimuth and elevation of points (N, B, 2)
+            v = np.concatenate([p - s[:, :2], np.broadcast_to(to_plane[:, None], (*p.shape[:2], 1))], axis=-1)
+            x, y, z = np.moveaxis((R @ v[..., None])[..., 0], -1, 0)
+            return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+
+        def f(azimuth: Array, elevation: Array) -> tuple[Array, np.ndarray]:  # and whether the ray had to be turned
+            x, y, z = np.moveaxis((np.swapaxes(R, -1, -2) @ to_unit(azimuth, elevation)[..., None])[..., 0], -1, 0)
+            flat, towards = np.hypot(x, y), z * np.sign(to_plane)
+            low = towards < flat * self.slope
+            reach = np.abs(to_plane) / np.maximum(np.maximum(towards, flat * self.slope), 1e-300)
+            return s[:, :2] + reach[..., None] * np.stack([x, y], axis=-1), low
+
+        p, low = f(azimuth, elevation)
+        turned = seen(p)
+        azimuth, elevation = np.where(low, turned[0], azimuth), np.where(low, turned[1], elevation)
+        plus, minus = f(azimuth, elevation + se)[0], f(azimuth, elevation - se)[0]
+        a = np.linalg.norm(plus - minus, axis=-1) / 2  # (13)
+        m = f(azimuth, elevation)[0] if self.centre == "estimate" else (plus + minus) / 2  # (12)
+        theta, phi = seen(m)
+        b = np.linalg.norm(f(theta + sa, phi)[0] - f(theta - sa, phi)[0], axis=-1) / 2  # (14)
+        along = np.where((a > 0)[..., None], (plus - minus) / np.where(a > 0, 2 * a, 1.0)[..., None], (1.0, 0.0))
+        a, b = (np.maximum(axis, self.least_axis) for axis in (a, b))
+        across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+        return m, np.stack([a[..., None] * along, b[..., None] * across], axis=-1)  # (16), (17)
+
+    def selected(self, m: Array, L: Array) -> np.ndarray:
+        """S2: which of ellipses m (B, 2), L (B, 2, 2) take part, in rising order; none where no two agree."""
+        if not self.vote:
+            return np.arange(len(m))
+        if self.intersection == "boxes":
+            half = ellipses.half_widths(L)
+            lower, upper = m - half, m + half
+            corners = np.stack(np.meshgrid(*lower.T), axis=-1).reshape(-1, 1, 2)  # a common box has such a corner
+            sets = largest(np.all((lower <= corners) & (corners <= upper), axis=-1))
+        else:  # a common region has crossings as vertices, or it is a whole ellipse and has its centre
+            inside = [ellipses.levels(m, m, L) <= 1 + ellipses.TOUCH]
+            for pair, p in ellipses.all_crossings(m, L).items():
+                inside.append(ellipses.levels(p, m, L) <= 1 + ellipses.TOUCH)
+                inside[-1][:, pair] = True
+            sets = largest(np.concatenate(inside))
+        if len(sets[0]) < 2:
+            return np.array([], dtype=int)
+        best, chosen = -1.0, sets[0]
+        for M in sets if len(sets) > 1 and self.ties == "area" else []:
+            boxes = self.intersection == "boxes"
+            common, union = ellipses.box_areas(lower[M], upper[M]) if boxes else ellipses.areas(m[M], L[M])
+            if common / union > best + EVEN:  # (19)
+                best, chosen = common / union, M
+        return chosen
+
+
+def largest(inside: np.ndarray) -> list[np.ndarray]:
+    """The largest sets (18) of anchors, in the order of anchor numbers, from which ellipses (K, B) hold each point."""
+    count = inside.sum(axis=1)
+    return [np.flatnonzero(M) for M in np.unique(inside[count == count.max()], axis=0)[::-1]]
+
+
+def fused(m: Array, L: Array) -> tuple[Array, Array]:
+    """S3: mean (2,) and covariance (2, 2) of the product of normals m (B, 2), Sigma = L L^T (B, 2, 2)  (20), (21)."""
+    information = np.linalg.inv(L @ np.swapaxes(L, -1, -2))
+    covariance = np.linalg.inv(information.sum(axis=0))
+    return m[0] + covariance @ (information @ (m - m[0])[..., None]).sum(axis=0)[:, 0], covariance
