@@ -101,9 +101,24 @@ def run(arguments: Sequence[str]) -> int:
         print(composing.show(overrides, given.config_dir, given.resolve, given.package, given.multirun), end="")
         return 0
     cells = composing.compose_cells(overrides, config_dir=given.config_dir, sweep=given.multirun)
+    for line in dict.fromkeys(line for cell in cells for line in cell.notes):
+        print(line, file=sys.stderr)
     done = runner.run(cells)
     _print_run(done, cells)
+    for cell in {cell.id: cell for cell in cells if getattr(cell.scenario, "recorded", None) is not None}.values():
+        _draw_recording(done.out, cell)
     return 0
+
+
+def _draw_recording(out: Path, cell: Any) -> None:
+    """Errors of a recording with ground truth as pictures."""
+    os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
+    from aoabench.report import campaign
+
+    scenario = cell.scenario
+    truth, anchors = scenario.truth(None)[:, :2], scenario.known_anchors.position[0, :, :2]
+    for path in campaign.write(out, cell.id, list(cell.estimators), truth, anchors, scenario.bounds_m):
+        print(f"figure: {path}")
 
 
 _RUN_HELP = """\
@@ -273,9 +288,12 @@ def replay(arguments: Sequence[str]) -> int:
     parser.add_argument("--estimator", required=True, help="name of the estimator")
     parser.add_argument("--cell", help="cell of the run, if it has several")
     parser.add_argument("--plugins", default="", help="packages of your own that the run used, with commas")
+    formats = "measurements and anchors too, as files that scenario=recorded reads"
+    parser.add_argument("--export", choices=["csv", "parquet"], help=formats)
     given = parser.parse_args(list(arguments))
     plugins = parse_plugins([f"plugins={given.plugins}"])
-    print(replaying.replay(Path(given.run), given.replication, given.estimator, given.cell, plugins))
+    chosen = (given.replication, given.estimator, given.cell, plugins, given.export)
+    print(replaying.replay(Path(given.run), *chosen))
     return 0
 
 

@@ -149,6 +149,7 @@ class Cell:
     swept: tuple[str, ...] = ()  # dotted parameters that the command line sets
     experiment: str | None = None
     plugins: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # lines for whoever asked for it
 
     @property
     def id(self) -> str:
@@ -193,6 +194,7 @@ def build(
                 f"{group}={choices.get(group)}: exactly one is needed; allowed: {', '.join(options(group))}"
             )
     scenario = _as("scenario", construct(plain["scenario"], "scenario", plugins), ("truth", "prior", "known_anchors"))
+    plain, choices, notes = _as_recorded(plain, choices, scenario, overrides)
     noise = _as("noise", construct(plain["noise"], "noise", plugins), ("sample",))
     if not isinstance(scenario.name, str) or not scenario.name:
         raise BadValue("scenario.name", scenario.name, "a text, which keys the random streams")
@@ -219,7 +221,25 @@ def build(
         swept=tuple(o.partition("=")[0].lstrip("+") for o in overrides if "." in o.partition("=")[0]),
         experiment=choices.get("experiment"),
         plugins=tuple(plugins),
+        notes=notes,
     )
+
+
+def _as_recorded(
+    plain: Mapping[str, Any], choices: Mapping[str, Any], scenario: Any, overrides: Sequence[str]
+) -> tuple[Mapping[str, Any], Mapping[str, Any], tuple[str, ...]]:
+    """The job with the recording for its noise and no more replications than it has; and lines about it."""
+    if getattr(scenario, "recorded", None) is None:
+        return plain, choices, ()
+    notes = [*getattr(scenario, "notes", ())]
+    keys = [override.partition("=")[0].lstrip("+") for override in overrides]
+    if any(key.split(".")[0] == "noise" for key in keys):
+        notes.append("noise is not used: scenario.path has the measurements")
+    reps = min(plain["reps"], getattr(scenario, "replications", plain["reps"]))
+    if reps < plain["reps"] and "reps" in keys:
+        notes.append(f"reps={plain['reps']} is taken as {reps}: a recording is one replication")
+    node = {"_target_": "aoabench.noise.recorded.Recorded"}
+    return {**plain, "noise": node, "reps": reps}, {**choices, "noise": "recorded"}, tuple(notes)
 
 
 def _estimators(

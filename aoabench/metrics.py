@@ -12,15 +12,17 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
     """One value (R,) per column of the replications table, from estimates and true positions (R, T, 3) m.
 
     Accepted are the fixes that give a position: ok, oscillated and diverged. `nees` is the mean of e^T P^-1 e (3 dof).
+    Errors are those of fixes whose truth is known (x and y not NaN, which a recording may leave open).
     Where a method gives no z (NaN) the 3-D error is that in the plane, and `rmse_z_m` and `nees` are NaN.
     """
     outcome = estimates.outcome
     error = estimates.position - truth
     accepted = (outcome != Outcome.FAILED) & (outcome != Outcome.REJECTED)
+    scored = accepted & np.isfinite(truth[..., :2]).all(-1)
     columns: dict[str, np.ndarray] = {
-        "rmse_3d_m": root_mean_square(distance(error), accepted),
-        "rmse_xy_m": root_mean_square(np.hypot(error[..., 0], error[..., 1]), accepted),
-        "rmse_z_m": root_mean_square(error[..., 2], accepted),
+        "rmse_3d_m": root_mean_square(distance(error), scored),
+        "rmse_xy_m": root_mean_square(np.hypot(error[..., 0], error[..., 1]), scored),
+        "rmse_z_m": root_mean_square(error[..., 2], scored),
         "outcome": np.array([Outcome(int(o)).name.lower() for o in outcome.max(axis=1)], dtype=object),
         "n_fixes": np.full(len(outcome), outcome.shape[1]),
     }

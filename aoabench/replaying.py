@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from aoabench import metrics, montecarlo, store, tables
 from aoabench.config import construct, did_you_mean, import_plugins
-from aoabench.types import UserError
+from aoabench.geometry import Array
+from aoabench.types import Batch, UserError
 
 
-def replay(run: Path, replication: int, estimator: str, cell: str | None = None, plugins: Sequence[str] = ()) -> str:
+def replay(
+    run: Path,
+    replication: int,
+    estimator: str,
+    cell: str | None = None,
+    plugins: Sequence[str] = (),
+    export: str | None = None,
+) -> str:
     """Write <run>/replay/<cell>-<estimator>-<replication>.parquet (a row per step) and return a text about it.
 
-    `plugins` are the packages of the user's own that the run used. Raises UserError for a run, cell, estimator or
+    `plugins` are the packages of the user's own that the run used; `export`, csv or parquet, writes what was measured
+    too (see `exported`). Raises UserError for a run, cell, estimator or
     replication that is not there.
     """
     if not (run / "cells").is_dir():
@@ -65,4 +75,50 @@ def replay(run: Path, replication: int, estimator: str, cell: str | None = None,
     stored = rows[(rows["estimator"] == estimator) & (rows["replication"] == replication)]["rmse_3d_m"].iloc[0]
     same = rmse == stored or (np.isnan(rmse) and np.isnan(stored))
     says = "as stored" if same else f"stored is {stored:.17g}: code or libraries have changed since"
-    return f"cell {cell}, {estimator}, replication {replication}: rmse_3d_m = {rmse:.17g} ({says})\ntrace: {path}"
+    text = f"cell {cell}, {estimator}, replication {replication}: rmse_3d_m = {rmse:.17g} ({says})\ntrace: {path}"
+    return f"{text}\n{exported(path, export, scenario, batch, truth, i, estimator)}" if export else text
+
+
+def exported(path: Path, kind: str, scenario: Any, batch: Batch, truth: Array, i: int, estimator: str) -> str:
+    """Write the i-th replication of a tile as scenario=recorded reads it, and return the command that does.
+
+    <path>-measurements.<kind> (csv or parquet) has a row per fix and anchor that measured, with the true position of
+    truth (R, T, n), <path>-anchors.csv the anchors as the estimator knew them.
+    """
+    T, B = batch.azimuth.shape[1:]
+    fix, anchor = (a.ravel() for a in np.indices((T, B)))
+    angles = {f"{a}{s}": getattr(batch, f"{a}{s}") for s in ("", "_sigma") for a in ("azimuth", "elevation")}
+    columns = {f"{name}_deg": np.rad2deg(a[i].ravel()) for name, a in angles.items() if a is not None}
+    columns |= {} if batch.rssi is None else {"rssi_dbm": batch.rssi[i].ravel()}
+    columns |= {f"{axis}_m": truth[i, fix, k] for k, axis in enumerate("xyz")}
+    heard = np.isfinite(batch.azimuth[i]) | np.isfinite(batch.elevation[i])
+    heard[:, 0] |= ~heard.any(axis=1)  # a fix that nobody measured is one all the same
+    frame = pd.DataFrame({"fix": fix, "anchor": anchor + 1, **columns})[heard.ravel()]
+    known = batch.anchors.of(i)
+    turned = np.rad2deg([euler_of(R.T) for R in known.rotation[0]]) + 0.0  # no -0.0
+    place = {f"{axis}_m": known.position[0, :, k] for k, axis in enumerate("xyz")}
+    axes = {name: turned[:, k] for k, name in ((2, "facing_deg"), (1, "pitch_deg"), (0, "roll_deg"))}
+    log, anchors = (path.with_name(f"{path.stem}-{what}") for what in (f"measurements.{kind}", "anchors.csv"))
+    write = frame.to_csv if kind == "csv" else frame.to_parquet
+    store.write_atomically(log, lambda temporary: write(temporary, index=False))
+    table = pd.DataFrame({"id": np.arange(1, B + 1), **place, **axes})
+    store.write_atomically(anchors, lambda temporary: table.to_csv(temporary, index=False))
+    words = [f"""'scenario.path="{log}"' 'scenario.anchors="{anchors}"'"""]
+    height, bounds = getattr(scenario, "height_m", None), getattr(scenario, "bounds_m", None)
+    if isinstance(height, int | float):
+        words.append(f"scenario.height_m={height}")
+    if bounds is not None:
+        words.append(f"'scenario.bounds_m={np.asarray(bounds).tolist()}'".replace(" ", ""))
+    if np.nanmax(np.abs(batch.elevation[i]), initial=0.0) > np.pi / 2:
+        words.append("scenario.elevation_limit_deg=180")
+    return f"read it back: aoabench run scenario=recorded {' '.join(words)} 'estimator=[{estimator}]'"
+
+
+def euler_of(matrix: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw in rad of a rotation matrix (3, 3); the inverse of `geometry.euler`."""
+    level = np.hypot(matrix[0, 0], matrix[1, 0])
+    pitch = np.arctan2(-matrix[2, 0], level)
+    if level < 1e-12:  # roll and yaw turn about the same axis
+        return 0.0, float(pitch), float(np.arctan2(-matrix[0, 1], matrix[1, 1]))
+    roll, yaw = np.arctan2(matrix[2, 1], matrix[2, 2]), np.arctan2(matrix[1, 0], matrix[0, 0])
+    return float(roll), float(pitch), float(yaw)

@@ -1,0 +1,239 @@
+"""Figures of a measurement campaign: how errors in the plane are distributed, and where they are large.
+
+Errors are in m, NaN where a method gave no position.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aoabench import tables
+from aoabench.report import plots
+from aoabench.types import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_POINTS = 80  # more true positions than that are a track, not reference points
+MOST_DRAWN = 5000  # of a track's fixes, evenly spaced; and of a distribution's steps
+STYLES = ("-", "--", "-.", ":")
+SCALE = "cividis"  # even in lightness, and read by colour-blind readers
+
+
+def write(
+    out: Path, cell: str, estimators: Sequence[str], truth: np.ndarray, anchors: np.ndarray, bounds: Any = None
+) -> list[Path]:
+    """Draw <out>/figures/<cell>-cdf.png and -median_map.png from a run's stored fixes; nothing without ground truth.
+
+    truth (T, 2) m, the same in all replications, NaN where it is not known; anchors (B, 2) m; bounds (2, 2) m or None.
+    """
+    import pandas as pd
+
+    known = np.isfinite(truth).all(axis=1)
+    if not known.any():
+        return []
+    errors = {}
+    for name in estimators:
+        fixes = tables.fixes(out, cell, name)
+        given = ~np.isin(fixes.outcome, [Outcome.FAILED, Outcome.REJECTED])
+        errors[name] = np.where(given, fixes.error_xy_m, np.nan)[:, known].astype(float)
+    points, place = places(truth[known])
+    if len(points) <= MOST_POINTS:
+        R = len(next(iter(errors.values())))
+        where = np.tile(place, R)
+        medians = {n: pd.Series(e.ravel()).groupby(where).median().to_numpy() for n, e in errors.items()}
+        maps = lambda: median_maps(points, medians, anchors, bounds)  # noqa: E731
+    else:
+        first = {n: e[0] for n, e in errors.items()}
+        maps = lambda: track_maps(truth[known], first, anchors, bounds)  # noqa: E731
+    folder = out / "figures"
+    flat = {n: e.ravel() for n, e in errors.items()}
+    return [
+        plots.save(lambda: cdf(flat), folder / f"{cell}-cdf.png"),
+        plots.save(maps, folder / f"{cell}-median_map.png"),
+    ]
+
+
+def places(truth: np.ndarray, within_m: float = 0.1, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P, 2) m that positions (T, 2) m lie within a distance of, and which one (T,) each belongs to.
+
+    The search ends at most + 1 points: a target that is at so many places moves.
+    """
+    distinct, which = np.unique(truth, axis=0, return_inverse=True)
+    place = np.full(len(distinct), -1)
+    points: list[np.ndarray] = []
+    while len(points) <= most and (place < 0).any():
+        points.append(distinct[np.argmax(place < 0)])
+        place[(place < 0) & (np.hypot(*(distinct - points[-1]).T) <= within_m)] = len(points) - 1
+    return np.array(points), place[which.ravel()]
+
+
+def cdf(
+    errors: Mapping[str, np.ndarray],
+    bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
+) -> Figure:
+    """Share of fixes whose error (N,) is at most so large; a method that gives fewer fixes ends below 1.
+
+    bands: for some of the methods errors (K,) and the pointwise lower and upper limit (K,) of the share there.
+    """
+    figure, axis = plots.new(plots.COLUMN * 1.35, plots.COLUMN)
+    reach = 0.0
+    for i, (name, e) in enumerate(errors.items()):
+        e = np.asarray(e, dtype=float)
+        given = np.sort(e[np.isfinite(e)])
+        share = len(given) / max(len(e), 1)
+        middle = f"median {np.median(given):.3g} m, " if len(given) else ""
+        rank = np.unique(np.linspace(0, len(given), MOST_DRAWN).astype(int))
+        line = axis.step(
+            np.concatenate([[0.0], given])[rank],
+            rank / max(len(e), 1),
+            where="post",
+            linestyle=STYLES[i % len(STYLES)],
+            label=f"{name}: {middle}{share:.1%} of fixes",
+        )[0]
+        if len(given):
+            reach = max(reach, float(np.quantile(given, 0.98)))
+        if bands and name in bands:
+            at, low, high = bands[name]
+            axis.fill_between(at, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+    axis.set(xlabel="error in the plane [m]", ylabel="share of all fixes", ylim=(0, 1.005))
+    axis.set_xlim(0, 1.05 * reach or 1.0)
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1 if len(errors) < 7 else 2)
+    return figure
+
+
+def median_maps(
+    points: np.ndarray,
+    medians: Mapping[str, np.ndarray],
+    anchors: np.ndarray,
+    bounds: np.ndarray | None = None,
+) -> Figure:
+    """A map for each method: the median error (P,) at points (P, 2) m as colour and number; – is no position at all.
+
+    anchors (B, 2) m; bounds: lower and upper corner (2, 2) m of the room.
+    """
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Rectangle
+
+    extent = _extent(points, anchors, bounds)
+    side = 0.92 * _spacing(points, float(np.diff(extent, axis=0).max()))
+    figure, axes, inches = _panels(len(medians), extent)
+    norm = _norm(np.concatenate([np.asarray(m, dtype=float) for m in medians.values()]))
+    size = float(np.clip(72 * inches * side / np.diff(extent[:, 0])[0] / 2.9, 2.5, 8))
+    for axis, (name, median) in zip(axes, medians.items()):
+        cells = [Rectangle((x - side / 2, y - side / 2), side, side) for x, y in points]
+        drawn = PatchCollection(cells, cmap=_scale(), norm=norm, linewidths=0)
+        drawn.set_array(np.ma.masked_invalid(median))
+        axis.add_collection(drawn)
+        for (x, y), value in zip(points, median):
+            dark = math.isfinite(value) and norm(value) < 0.55
+            colour = "white" if dark else "black"
+            axis.text(x, y, _short(value), ha="center", va="center", fontsize=size, color=colour, zorder=5)
+        _finish(axis, name, anchors, bounds, extent)
+    figure.colorbar(drawn, ax=list(axes), label="median error in the plane [m]", extend="max", shrink=0.8)
+    _legend(figure, axes)
+    return figure
+
+
+def track_maps(
+    points: np.ndarray, errors: Mapping[str, np.ndarray], anchors: np.ndarray, bounds: np.ndarray | None = None
+) -> Figure:
+    """A map for each method: the track (T, 2) m coloured by its error (T,); crosses where there is no position."""
+    thin = slice(None, None, -(-len(points) // MOST_DRAWN))
+    points, errors = points[thin], {name: np.asarray(error, dtype=float)[thin] for name, error in errors.items()}
+    extent = _extent(points, anchors, bounds)
+    figure, axes, _ = _panels(len(errors), extent)
+    norm = _norm(np.concatenate(list(errors.values())))
+    for axis, (name, error) in zip(axes, errors.items()):
+        given = np.isfinite(error)
+        if len(points) > 1 and np.median(np.hypot(*np.diff(points, axis=0).T)) < 0.05 * np.diff(extent, axis=0).max():
+            axis.plot(*points.T, color="0.8", linewidth=0.5, zorder=1)  # one after the other, not here and there
+        if not given.all():
+            axis.scatter(*points[~given].T, marker="x", s=8, linewidths=0.5, color="0.4", zorder=2, label="no position")
+        drawn = axis.scatter(*points[given].T, c=error[given], s=7, cmap=_scale(), norm=norm, linewidths=0, zorder=3)
+        _finish(axis, name, anchors, bounds, extent)
+    figure.colorbar(drawn, ax=list(axes), label="error in the plane [m]", extend="max", shrink=0.8)
+    _legend(figure, axes)
+    return figure
+
+
+# --- pieces -----------------------------------------------------------------------------------------------------------
+
+
+def _short(value: float) -> str:
+    """A number in three digits or so; – for NaN."""
+    return "–" if math.isnan(value) else f"{value:.{2 if value < 9.995 else 1 if value < 99.95 else 0}f}"
+
+
+def _scale() -> Any:
+    import matplotlib
+
+    return matplotlib.colormaps[SCALE].with_extremes(bad="0.85")
+
+
+def _norm(values: np.ndarray) -> Any:
+    """From 0 to the value that 95 % stay below."""
+    from matplotlib.colors import Normalize
+
+    known = values[np.isfinite(values)]
+    return Normalize(0.0, float(np.quantile(known, 0.95)) or 1.0 if len(known) else 1.0)
+
+
+def _extent(points: np.ndarray, anchors: np.ndarray, bounds: Any) -> np.ndarray:
+    """Lower and upper corner (2, 2) m of what is drawn, with a margin."""
+    corners = [points, anchors] + ([np.asarray(bounds, dtype=float)] if bounds is not None else [])
+    all_of_it = np.concatenate(corners)
+    low, high = all_of_it.min(axis=0), all_of_it.max(axis=0)
+    margin = max(0.05 * float((high - low).max()), 0.25 * _spacing(points, float((high - low).max())), 1e-3)
+    return np.stack([low - margin, high + margin])
+
+
+def _spacing(points: np.ndarray, extent: float) -> float:
+    """How far neighbouring points are apart, m: most are at least so far."""
+    if len(points) < 2 or len(points) > 2000:
+        return extent / 10
+    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    distance[distance == 0] = np.inf
+    return float(np.clip(np.quantile(distance.min(axis=1), 0.1), extent / 40, extent / 4))
+
+
+def _panels(count: int, extent: np.ndarray) -> tuple[Figure, Any, float]:
+    """A figure with so many panels, their axes in order, and how many inches wide the map in one is."""
+    cols = 2 if count == 4 else min(count, 3)
+    rows = math.ceil(count / cols)
+    width = plots.PAGE if cols > 1 else plots.COLUMN * 1.2
+    wide, high = np.diff(extent, axis=0)[0]
+    inches = 0.78 * width / cols
+    height = min(inches * high / wide, 1.6 * inches)
+    inches = height * wide / high
+    figure, axes = plots.new(width, rows * (height + 0.25) + 0.8, rows, cols, squeeze=False, sharex=True, sharey=True)
+    for axis in axes.ravel()[count:]:
+        axis.set_visible(False)
+    for i in range(count):
+        axes.ravel()[i].set_xlabel("x [m]" if i + cols >= count else "")
+        axes.ravel()[i].tick_params(labelbottom=i + cols >= count)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("y [m]")
+    return figure, axes.ravel()[:count], float(inches)
+
+
+def _finish(axis: Any, name: str, anchors: np.ndarray, bounds: Any, extent: np.ndarray) -> None:
+    from matplotlib.patches import Rectangle
+
+    look = {"s": 34, "facecolor": "none", "edgecolor": "#D55E00", "linewidth": 1.2}
+    axis.scatter(*anchors.T, marker="^", label="anchor", zorder=4, **look)
+    if bounds is not None:
+        low, high = np.asarray(bounds, dtype=float)
+        axis.add_patch(Rectangle(low, *(high - low), fill=False, edgecolor=plots.GREY, linewidth=0.8))
+    axis.set(title=name, aspect="equal", xlim=extent[:, 0], ylim=extent[:, 1])
+    axis.grid(False)
+
+
+def _legend(figure: Figure, axes: Any) -> None:
+    named = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels())}
+    figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=len(named))
