@@ -278,12 +278,13 @@ def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None)
     for override in overrides:
         key = override.partition("=")[0].lstrip("+~")
         if f"'{key}'" in text or f"full_key: {key}" in text:
-            return f"{override}: {_about_key(key, config_dir)}"
+            chosen = [o.partition(",")[0] for o in overrides if o.startswith("scenario=")]  # the first of a sweep
+            return f"{override}: {_about_key(key, chosen, config_dir)}"
     return f"{' '.join(overrides)}: {_first_line(error)}"
 
 
-def _about_key(key: str, config_dir: str | None) -> str:
-    """Why a key given on the command line does not exist."""
+def _about_key(key: str, chosen: Sequence[str], config_dir: str | None) -> str:
+    """Why a key given on the command line does not exist; `chosen` are the overrides that name a scenario."""
     head, _, rest = key.partition(".")
     if head in ("filter", "estimator") and rest:
         name = rest.partition(".")[0]
@@ -291,16 +292,16 @@ def _about_key(key: str, config_dir: str | None) -> str:
             hint = did_you_mean(key, [k for k in known_keys(name, head) if k != key])
             return f"no such key, or {head} {name!r} is not selected: {head}=[{name}]{hint}"
         return f"unknown {head} {name!r}{did_you_mean(name, options(head, config_dir))}"
-    hint = did_you_mean(key, [k for k in known_keys() if k != key])
+    hint = did_you_mean(key, [k for k in known_keys(chosen=chosen) if k != key])
     return f"unknown key {key!r}{hint or '; `aoabench run --cfg job` shows the keys'}"
 
 
-def known_keys(preset: str | None = None, group: str = "filter") -> list[str]:
-    """Dotted keys of the default config, with one preset selected if named; call it where Hydra is initialised."""
+def known_keys(preset: str | None = None, group: str = "filter", chosen: Sequence[str] = ()) -> list[str]:
+    """Dotted keys of the default config, with one preset and what is `chosen`; call it where Hydra is initialised."""
     from hydra import compose
     from omegaconf import OmegaConf
 
-    cfg = compose("config", overrides=[f"{group}=[{preset}]"] if preset else [])
+    cfg = compose("config", overrides=[*chosen, *([f"{group}=[{preset}]"] if preset else [])])
     keys = [key for key, _ in flatten(OmegaConf.to_container(cfg, resolve=False))]
     return [*keys, *GROUPS]
 

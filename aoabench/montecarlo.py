@@ -23,9 +23,10 @@ Rows = dict[str, np.ndarray]
 _SPAN = 64  # replications whose estimates are held before they become rows
 
 
-def tile_of(estimator: Any) -> int:
-    """How many replications this estimator takes at once."""
-    return int(getattr(estimator, "tile", 128))
+def tile_of(estimator: Any, scenario: Any = None) -> int:
+    """How many replications this estimator takes at once; no more than the scenario has, if it says how many."""
+    tile = int(getattr(estimator, "tile", 128))
+    return min(tile, getattr(scenario, "replications", tile))
 
 
 def simulate(scenario: Any, noise: Any, seed: int, replication: int) -> tuple[np.ndarray, Measurements, Any]:
@@ -103,8 +104,8 @@ def run_block(
     scores: dict[str, dict[str, list[Rows]]] = {name: {kind: [] for kind in score} for name in estimators}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
-        for size in sorted({tile_of(estimator) for estimator in estimators.values()}):
-            names = [name for name, estimator in estimators.items() if tile_of(estimator) == size]
+        for size in sorted({tile_of(estimator, scenario) for estimator in estimators.values()}):
+            names = [name for name, estimator in estimators.items() if tile_of(estimator, scenario) == size]
             span = size * max(_SPAN // size, 1)
             for first in range(start - start % size, stop, span):
                 tiles = range(first, min(first + span, stop), size)
@@ -143,7 +144,7 @@ def _fixes(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: n
 
 def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates]:
     """Truth (R, T, n) and estimates of the tile that starts at replication `first`."""
-    size = tile_of(estimator)
+    size = tile_of(estimator, draws.scenario)
     truth, batch = draws.tile(first, size)
     streams = Streams(draws.seed, draws.scenario.name, tuple(range(first, first + size)))
     seen = (truth,) if getattr(estimator, "sees_truth", False) else ()
@@ -183,8 +184,8 @@ def time_estimators(
         for name, estimator in estimators.items():
             seconds: list[float] = []
             while len(seconds) <= repeats and sum(seconds) < 1.0:
-                first = len(seconds) * tile_of(estimator)
-                draws.tile(first, tile_of(estimator))
+                first = len(seconds) * (size := tile_of(estimator, scenario))
+                draws.tile(first, size)
                 begin = time.perf_counter()
                 truth, _ = estimate_tile(draws, estimator, first)
                 seconds.append(time.perf_counter() - begin)

@@ -52,7 +52,7 @@ def replay(
     scenario, noise = (construct(config[g], g, plugins) for g in ("scenario", "noise"))
     draws = montecarlo.Draws(scenario, noise, record["seed"])
     method = construct(presets[estimator], estimator, plugins)
-    size = montecarlo.tile_of(method)
+    size = montecarlo.tile_of(method, scenario)
     first = replication - replication % size
     truth, estimates = montecarlo.estimate_tile(draws, method, first)
     i = replication - first

@@ -121,7 +121,7 @@ def _tasks(cell: Cell, keys: Mapping[str, str], out: Path, claimed: set[str]) ->
         claimed.add(key)
         done = [(part.start, part.stop) for part in store.intact_parts(out, key, kind)]
         for gap in store.missing_ranges(done, cell.reps):
-            gaps[*gap, montecarlo.tile_of(cell.estimators[name])][name] = key
+            gaps[*gap, montecarlo.tile_of(cell.estimators[name], cell.scenario)][name] = key
     for (start, stop, tile), names in sorted(gaps.items()):
         chunk = cell.runner.chunk or min(math.ceil((stop - start) / (16 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK)
         chunk = math.ceil(chunk / tile) * tile

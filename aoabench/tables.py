@@ -242,7 +242,7 @@ def _clusters(out: Path, entry: Mapping[str, Any]) -> statistics.Clusters | None
     total: statistics.Clusters | None = None
     for part in _noted_parts(out, entry, "fixes"):
         one = _fixes(part)
-        accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED])
+        accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED]) & np.isfinite(one.error_xy_m)
         found = statistics.clusters(one.error_3d_m, one.error_xy_m, one.iterations, accepted)
         total = found if total is None else total + found
     return total

@@ -171,7 +171,8 @@ class Scenario(Protocol):
     Optional: `same_truth` (all replications share their true positions), `files` (paths that it read: results are keyed
     on their content), `reported(points (T, 3)) -> (T, B)` (which anchors measure), `height_m` (the target's known z),
     `bounds_m` ((2, 2): lower and upper corner in x and y, outside of which no target can be), `days_of (T,)` (which day
-    each step is of), `recorded` (a Measurements that takes the place of the noise's).
+    each step is of), `recorded` (a Measurements that takes the place of the noise's), `replications` (how many there
+    are, for what cannot be drawn again), `notes` (lines for whoever runs it).
     """
 
     @property

@@ -66,7 +66,7 @@ class _Laps:
         given = cell.estimators[name]
         self.estimator = replace(given, engine=engine) if hasattr(given, "engine") else given
         self.cell, self.next = cell, 0
-        size = montecarlo.tile_of(self.estimator)
+        size = montecarlo.tile_of(self.estimator, cell.scenario)
         draws = montecarlo.Draws(cell.scenario, cell.noise, cell.seed)
         self.batches = [draws.tile(i * size, size)[1] for i in range(tiles)]
         self.streams = [
