@@ -1,10 +1,10 @@
 """Fit the parameters of `ble_multipath` to what the paper prints, and judge them on campaigns the fit has not seen.
 
-    python -m experiments.boquet2024.calibrate [--search 300] [--starts 3] [--seeds 6] [--fresh 20] [--write]
+    python -m experiments.boquet2024.calibrate [--search 300] [--starts 2] [--evaluations 600] [--fresh 20] [--write]
 
-The fit sees `--seeds` campaigns of root seed 2024, always the same draws, so that the misfit is a smooth enough
-function of the parameters. It minimises the squared `misfit`s of numbers.py and log ratios to the printed grids by
-scipy's least squares, from the `--starts` best of `--search` random points and the shipped one.
+The fit sees `--seeds` campaigns of root seed 2024, always the same draws, so that the misfit is a function of the
+parameters alone, if not smooth enough for derivatives. It minimises the squared `misfit`s of numbers.py and the log
+ratios to the printed grids by Powell's method, from the `--starts` best of `--search` random points and the shipped.
 The judgement uses `--fresh` campaigns of root seed 1, as the study does. `--write` puts the result into
 configs/noise/ble_multipath.yaml.
 """
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import least_squares
+from scipy.optimize import minimize
 
 from aoabench import store
 from aoabench.composing import compose_cells
@@ -75,8 +75,8 @@ def table(noise: BleMultipath, seed: int, count: int, packets: int) -> pd.DataFr
     return pd.DataFrame(list(numbers.misfits(fixes, days, len(cell.scenario.points_m))))
 
 
-def residuals(x: np.ndarray, count: int, packets: int) -> np.ndarray:
-    """Everything that the fit makes small."""
+def misfit(x: np.ndarray, count: int, packets: int) -> float:
+    """What the fit makes small, of `count` campaigns: half the sum of the squares."""
     cell, fixes = campaigns(noise_of(x), FIT_SEED, count, packets)
     days = numbers.day_statistics(cell.scenario, cell.noise, FIT_SEED, 0, count)
     rows = numbers.misfits(fixes, days, len(cell.scenario.points_m))
@@ -85,12 +85,19 @@ def residuals(x: np.ndarray, count: int, packets: int) -> np.ndarray:
         if name in fixes:
             ours = np.nanmean(numbers.medians(numbers.error(fixes[name]), len(grid)), axis=0)
             found += list(np.log(ours / grid) / GRID_WEIGHT / np.sqrt(len(grid) / 8))
-    return np.nan_to_num(np.array(found), nan=10.0)
+    return 0.5 * float(np.sum(np.nan_to_num(np.array(found), nan=10.0) ** 2))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
-    for name, default in (("search", 300), ("starts", 3), ("seeds", 6), ("packets", 12), ("fresh", 20)):
+    for name, default in (
+        ("search", 300),
+        ("starts", 2),
+        ("evaluations", 600),
+        ("seeds", 6),
+        ("packets", 10),
+        ("fresh", 20),
+    ):
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
@@ -98,14 +105,15 @@ def main() -> None:
     shipped = BleMultipath(**{k: v for k, v in _shipped().items() if not k.startswith("_")})
     tried = np.random.default_rng(0).uniform(low, high, (args.search, len(low)))
     tried = np.vstack([np.clip(np.log([_value(shipped, name) for name in FREE]), low + 1e-3, high - 1e-3), tried])
-    cost = [_cost(residuals(x, 3, 8)) for x in tried]
+    cost = [misfit(x, 3, 8) for x in tried]
     best = None
     for start in np.argsort(cost)[: args.starts]:
-        found = least_squares(
-            residuals, tried[start], bounds=(low, high), args=(args.seeds, args.packets), diff_step=0.05, max_nfev=15,
+        found = minimize(
+            misfit, tried[start], args=(args.seeds, args.packets), method="Powell", bounds=list(zip(low, high)),
+            options={"maxfev": args.evaluations, "xtol": 0.05, "ftol": 1e-3},
         )  # fmt: skip
-        print(f"from {cost[start]:.3f}: cost {found.cost:.3f} after {found.nfev} steps", flush=True)
-        best = found if best is None or found.cost < best.cost else best
+        print(f"from {cost[start]:.2f}: {found.fun:.2f} after {found.nfev} evaluations", flush=True)
+        best = found if best is None or found.fun < best.fun else best
     assert best is not None
     rounded = {name: float(f"{_value(noise_of(best.x), name):.3g}") for name in FREE}
     noise = noise_of(np.log(list(rounded.values())))
@@ -121,10 +129,6 @@ def _list(values: dict[str, float], name: str) -> tuple[float, ...]:
     numbered = sorted(key for key in values if key.rpartition("_")[0] == name)
     found = tuple(values.pop(key) for key in numbered)
     return found if numbered[0].endswith("_1") else (1.0, *found)
-
-
-def _cost(r: np.ndarray) -> float:
-    return 0.5 * float(np.sum(r**2))
 
 
 def _value(noise: BleMultipath, name: str) -> float:

@@ -24,8 +24,9 @@ def setting(name, noise, track="square_track"):
 @pytest.mark.parametrize("noise", [n for n in options("noise") if n != "recorded"])
 def test_every_scenario_with_every_noise(scenario, noise):
     still = scenario.startswith(("bs_grid", "ble_room"))
-    one = "estimator=[ml_kcorr]" if still else "filter=[ekf_aoa]"
-    cell = compose_cells([f"scenario={scenario}", f"noise={noise}", one])[0]
+    words = ["estimator=[ml_kcorr]" if still else "filter=[ekf_aoa]"]
+    words += ["scenario.dt=2"] if scenario.startswith("indoor_map") else []  # a thousand fields take their time
+    cell = compose_cells([f"scenario={scenario}", f"noise={noise}", *words])[0]
     rows = next(iter(run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3).values()))["rows"]
     assert np.all(np.isfinite(rows["rmse_3d_m"]))
     truth, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 2)
@@ -65,7 +66,7 @@ def test_every_estimator_is_better_than_no_measurement_at_all(group, name):
     cell = compose_cells([*setting(name, "vmf", "square_track_upright"), f"{group}=[{name}]"])[0]
     reps = 64 if tile_of(cell.estimators[name]) > 8 else 8
     rows = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, reps)[name]["rows"]
-    assert np.median(rows["rmse_3d_m"]) < (1.5 if group == "filter" else 2.5)
+    assert np.median(rows["rmse_3d_m"]) < (1.5 if group == "filter" else 3.0)
 
 
 @pytest.mark.parametrize("experiment", options("experiment"))
