@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import re
 from dataclasses import fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -56,12 +57,15 @@ def noise_of(x: np.ndarray) -> BleMultipath:
     return replace(BleMultipath(), **value, **lists)  # type: ignore[arg-type]
 
 
+@cache
+def _room(packets: int) -> Any:
+    words = ["scenario=ble_room", "noise=ble_multipath", f"scenario.packets={packets}"]
+    return compose_cells([*words, f"estimator=[{','.join(METHODS)}]"])[0]
+
+
 def campaigns(noise: BleMultipath, seed: int, count: int, packets: int) -> tuple[Any, dict[str, Fixes]]:
     """A cell of the room with this noise, and the fixes of `count` campaigns."""
-    cell = compose_cells(
-        ["scenario=ble_room", "noise=ble_multipath", f"estimator=[{','.join(METHODS)}]", f"scenario.packets={packets}"]
-    )[0]
-    cell = replace(cell, noise=noise, seed=seed)
+    cell = replace(_room(packets), noise=noise, seed=seed)
     filters = {f"df_boxes_{round(10 * r):02d}": Discrepancy(r_sigma=r, ties="first") for r in numbers.SWEEP}
     found = run_block(cell.scenario, noise, {**cell.estimators, **filters}, seed, 0, count)
     names = [f.name for f in fields(Fixes)]
