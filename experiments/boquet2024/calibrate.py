@@ -41,7 +41,7 @@ FREE = {
     "azimuth_noise_deg": (0.5, 6), "elevation_noise_deg": (0.5, 10), "steep_deg": (6, 35), "steep_power": (0.5, 5),
     "azimuth_bias_deg": (0.5, 12), "elevation_bias_deg": (0.5, 12), "azimuth_day_deg": (0.2, 4),
     "elevation_day_deg": (0.2, 4), "disturbed_1": (0.05, 0.9), "disturbed_2": (0.03, 0.7), "pull_1": (0.02, 2),
-    "pull_2": (0.03, 6), "pull_3": (0.03, 6), "pull_spread": (0.1, 3), "correlation_m": (0.4, 3),
+    "pull_2": (0.03, 6), "pull_3": (0.03, 6), "correlation_m": (0.4, 3),
     "outliers": (0.003, 0.2), "outlier_deg": (3, 60),
     "bias_scale_2": (0.5, 4), "bias_scale_3": (0.5, 4),
 }  # fmt: skip
@@ -130,7 +130,7 @@ def main() -> None:
 
 def _list(values: dict[str, float], name: str) -> tuple[float, ...]:
     """Take the elements of a list out of the values."""
-    numbered = sorted(key for key in values if key.rpartition("_")[0] == name)
+    numbered = sorted(key for key in values if re.fullmatch(rf"{name}_\d", key))
     found = tuple(values.pop(key) for key in numbered)
     return found if numbered[0].endswith("_1") else (1.0, *found)
 
