@@ -65,10 +65,15 @@ def compare(run: str | os.PathLike[str], baseline: str | None = None, metric: st
     summary = pd.read_parquet(Path(run) / "summary.parquet", columns=["cell", "se_by"])
     shared = set(summary["cell"][summary["se_by"] == "position"])
     rows: list[dict[str, Any]] = []
+    left_out: dict[str, str] = {}  # cells without a comparison, and why
     unprinted: list[float] = []  # p-values of pairs that were looked at to pick the baseline
     for cell in order:
         mine = by_cell[cell]
         first = {c: mine[c].iloc[0] for c in (*IDENTITY, *varied)}
+        here = mine["estimator"].unique()
+        if len(here) < 2 or (baseline is not None and baseline not in here):
+            left_out[cell] = f"only {here[0]}" if len(here) < 2 else f"no {baseline}"
+            continue
         for row in _of_cell(Path(run), cell, mine, baseline, metric, cell in shared):
             if "estimator" in row:
                 rows.append({**first, "metric": metric, **row})
@@ -81,7 +86,7 @@ def compare(run: str | os.PathLike[str], baseline: str | None = None, metric: st
     said = [_judge(row, comparisons) for row in table.to_dict("records")]
     table[["verdict", "needed", "text"]] = pd.DataFrame(said, columns=["verdict", "needed", "text"], dtype=object)
     table["needed"] = table["needed"].astype(float)
-    table.attrs["comparisons"] = comparisons
+    table.attrs |= {"comparisons": comparisons, "left_out": left_out}
     return table.drop(columns="pair")
 
 
@@ -97,8 +102,6 @@ def _of_cell(
     """The comparisons with the baseline, by their means; then, of a baseline that the data pick, the other pairs."""
     wide = rows.pivot(index="replication", columns="estimator", values=metric)
     means = wide.mean().sort_values()  # those without any value come last
-    if len(means) < 2 or (baseline is not None and baseline not in means):
-        return
     base = str(means.index[0]) if baseline is None else baseline
     pair_up = _pairing(run, cell, wide, metric, shared and metric in statistics.CLUSTERED)
     for name in means.index:
@@ -170,21 +173,21 @@ def _judge(row: Mapping[Any, Any], comparisons: int) -> tuple[str, float, str]:
     ratio = row["unit"] in ("%", "percentage points")
     need = statistics.needed(pair, 1.0, comparisons, LEVEL) if ratio else math.nan
     unit = f" {row['unit']}".rstrip()
-    tail = f"p = {row['p_holm']:.2g} (Holm), {count}"
+    p = f"p {'= ' if row['p_holm'] > 0 else '< '}{max(row['p_holm'], 1e-300):.2g} (Holm)"
     if row["p_holm"] < LEVEL:
         smaller = row["change"] < 0
         ends = (-row["change_high"], -row["change_low"]) if smaller else (row["change_low"], row["change_high"])
         value, low, high = rounded(abs(row["change"]), *ends)
         says = words(metric)[0 if smaller else 1]
-        return says, need, f"{a} is {says} than {b} by {value}{unit} [{low}, {high}], {tail}"
+        return says, need, f"{a} is {says} than {b} by {value}{unit} [{low}, {high}], {p}, {count}"
     value, low, high = rounded(row["change"], row["change_low"], row["change_high"], "+")
-    seen = f"{value}{unit} [{low}, {high}], p = {row['p_holm']:.2g} (Holm)"
+    seen = f"{value}{unit} [{low}, {high}], {p}"
     line = f"{a} and {b}: no difference seen at this {count}: {seen}"
     one = f"1{' percentage point' if metric == FAILURES else ' %'}"
     if not math.isfinite(need) or need == 0:
         return NONE_SEEN, math.nan, line
     if need <= row["units"]:
-        return NONE_SEEN, need, f"{line}, which would show {one}"
+        return NONE_SEEN, need, f"{line}; this many would show {one}"
     unit_count = f"{np.format_float_positional(need, 2, fractional=False, trim='-')}"
     about = f"about N = {unit_count}" if row["by"] == "replication" else f"about {unit_count} positions"
     return NONE_SEEN, need, f"{line}; {about} would show {one}"
@@ -199,9 +202,6 @@ def rounded(value: float, low: float, high: float, sign: str = "") -> tuple[str,
 
 def lines(table: pd.DataFrame) -> Iterator[str]:
     """The table of `compare` as text, a paragraph for each cell."""
-    if table.empty:
-        yield "nothing to compare: no cell has two estimators, the baseline among them"
-        return
     known = [*IDENTITY, *COLUMNS, "verdict", "needed", "text"]
     varied = [c for c in table.columns if c not in known]
     for cell, rows in table.groupby("cell", sort=False):
@@ -212,6 +212,9 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
         level = "" if math.isnan(first["baseline_mean"]) else f", {first['baseline']} = {first['baseline_mean']:.4g}"
         yield f"{first['scenario']} {first['noise']}{where} (cell {cell}), {first['metric']}{level}{by}"
         yield from (f"  {text}" for text in rows["text"])
+    if table.attrs["left_out"]:
+        yield ""
+        yield from (f"cell {cell}: nothing to compare, {why} here" for cell, why in table.attrs["left_out"].items())
     m = table.attrs["comparisons"]
     if m:
         among = (

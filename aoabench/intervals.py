@@ -161,7 +161,8 @@ def bootstrap(
     """Standard error and BCa interval of `statistic(*arrays)` by drawing whole units along `axis` with replacement.
 
     The arrays share that axis and are drawn together: paired. Axis 0 of (R,) or (R, T): whole replications; axis 1 of
-    (R, P): whole positions that all replications share. Steps within a replication are never drawn apart.
+    (R, P): whole positions that all replications share. Steps within a replication are never drawn apart. For what has
+    no interval of its own: `mean` and `rmse` cover a little better, and at once.
     """
     from scipy import stats
 

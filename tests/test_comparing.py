@@ -198,8 +198,14 @@ def test_a_zero_baseline_is_compared_in_the_metrics_own_unit(swept, tmp_path, ca
 
 def test_one_estimator_is_nothing_to_compare(tmp_path, capsys):
     aoabench.run("filter=[ekf_vmf]", "reps=5", out=tmp_path)
-    assert "nothing to compare" in said(capsys, tmp_path)
+    assert "nothing to compare, only ekf_vmf here" in said(capsys, tmp_path)
     assert aoabench.compare(tmp_path).empty
+    aoabench.run("filter=[ekf_ae_fitted,ukf_vmf]", "noise.sigma_deg=3", "reps=5", out=tmp_path)
+    text = said(capsys, tmp_path, "--baseline", "ukf_vmf")
+    assert "nothing to compare, only ekf_vmf here" in text
+    assert "than ukf_vmf by" in text or "and ukf_vmf: no difference" in text
+    aoabench.run("filter=[ekf_ae_fitted]", "reps=5", out=tmp_path)
+    assert "nothing to compare, no ukf_vmf here" in said(capsys, tmp_path, "--baseline", "ukf_vmf")
 
 
 @pytest.mark.parametrize(("words", "says"), [
