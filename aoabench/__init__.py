@@ -1,6 +1,7 @@
 """aoabench: the Monte Carlo simulation-and-benchmark framework for angle-of-arrival (AoA) positioning.
 
-`run` simulates, `load` reads what a run left; everything else is imported from its module.
+`run` simulates, `load` reads what a run left, `compare` compares its estimators; everything else is imported from its
+module.
 """
 
 from __future__ import annotations
@@ -15,7 +16,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __version__ = "0.1.0"
-__all__ = ["Anchors", "Batch", "Estimates", "Estimator", "Measurements", "Outcome", "UserError", "load", "run"]
+__all__ = [
+    "Anchors",
+    "Batch",
+    "Estimates",
+    "Estimator",
+    "Measurements",
+    "Outcome",
+    "UserError",
+    "compare",
+    "load",
+    "run",
+]
 
 
 def run(
@@ -47,3 +59,14 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     from aoabench import tables
 
     return tables.load(out)
+
+
+def compare(run: str | os.PathLike[str], baseline: str | None = None, metric: str = "rmse_3d_m") -> pd.DataFrame:
+    """Paired comparison of the estimators of the run in folder `run`, a row per cell and estimator.
+
+    Each row holds the change against `baseline` (none: the smallest mean of each cell) with its interval, the p-value
+    by Holm's method over the table, and the line that says it. See `comparing.compare` for the columns.
+    """
+    from aoabench import comparing
+
+    return comparing.compare(run, baseline, metric)

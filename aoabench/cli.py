@@ -45,6 +45,7 @@ def dispatch(arguments: Sequence[str]) -> int:
         "reproduce": reproduce,
         "report": report,
         "compare": compare,
+        "collect": collect,
         "replay": replay,
         "list": list_presets,
     }
@@ -70,7 +71,8 @@ aoabench: Monte Carlo benchmark of angle-of-arrival (AoA) positioning
   aoabench list                        the presets: scenarios, noises, filters, estimators, experiments
   aoabench run [OVERRIDES]             simulate one cell: aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
   aoabench run -m [OVERRIDES]          sweep, e.g. ... -m noise.sigma_deg=2,5,10 (Hydra multirun; run --help says more)
-  aoabench compare RUN                 paired comparison of the estimators of a run
+  aoabench compare RUN [--baseline NAME] [--metric NAME]    paired comparison of the estimators of a run
+  aoabench collect RUN                 make the tables of a run again from its parts (every run ends so)
   aoabench replay RUN --replication N --estimator NAME    repeat one replication with its trace
   aoabench reproduce [STUDY ...] [--scale quick|paper] [--only ITEM]    tables and figures of the studies
   aoabench report                      draw figures and page again from the stored tables
@@ -176,7 +178,7 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
     shown["failed"] = [f"{v:.1%}" for v in mine["failure_rate"]]
     shown["fixes ok"] = [f"{v:.2%}" for v in mine["share_ok"]]
     print(shown.to_string(index=False, max_rows=60))
-    print(f"tables: {out}/{{replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})")
+    print(f"tables: {out}/{{tidy,replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})")
 
 
 # --- studies ----------------------------------------------------------------------------------------------------------
@@ -220,60 +222,51 @@ def report(arguments: Sequence[str]) -> int:
 
 
 def compare(arguments: Sequence[str]) -> int:
-    """`aoabench compare`: paired differences between the estimators of each cell."""
-    import pandas as pd
-
-    from aoabench import statistics, tables
-    from aoabench.config import did_you_mean
-    from aoabench.store import REPLICATIONS
+    """`aoabench compare`: paired differences between the estimators of each cell, printed and kept beside the run."""
+    from aoabench import comparing
+    from aoabench.store import write_frame
 
     parser = _Parser(prog="aoabench compare", description="Paired comparison of estimators over the replications.")
-    parser.add_argument("run", help="folder of a run (runner.out)")
+    parser.add_argument("run", help="folder of a run (runner.out); the table is kept there as compare.parquet")
     parser.add_argument("--baseline", help="estimator to compare with (default: the smallest mean of each cell)")
-    parser.add_argument("--metric", default="rmse_3d_m", help="column of the replications table (default: rmse_3d_m)")
+    names = ", ".join(comparing.METRICS)
+    parser.add_argument("--metric", default="rmse_3d_m", help=f"one of {names} (default: rmse_3d_m)")
     given = parser.parse_args(list(arguments))
-    frame = tables.load(given.run)
-    numeric = [c for c, kind in REPLICATIONS.items() if kind == "double" or c.startswith("n_")]
-    if given.metric not in numeric:
-        hint = did_you_mean(given.metric, numeric) or f"; allowed: {', '.join(numeric)}"
-        raise UserError(f"--metric={given.metric}: no such column{hint}")
-    names = list(frame["estimator"].unique())
-    if given.baseline and given.baseline not in names:
-        hint = did_you_mean(given.baseline, names) or f"; allowed: {', '.join(names)}"
-        raise UserError(f"--baseline={given.baseline}: not in this run{hint}")
-    fixed = {*REPLICATIONS, "seed"}
-    varied = [c for c in frame.columns if c not in fixed and frame[c].nunique(dropna=False) > 1]
-    order = list(pd.read_parquet(Path(given.run) / "cells.parquet", columns=["cell"])["cell"])
-    for cell, rows in sorted(frame.groupby("cell"), key=lambda pair: order.index(pair[0])):
-        wide = rows.pivot(index="replication", columns="estimator", values=given.metric)
-        wide = wide.dropna(axis="columns", how="all")
-        complete = wide.dropna()
-        if len(complete) < len(wide):
-            print(f"\n(cell {cell}: only {len(complete)} of {len(wide)} replications have a value of every estimator)")
-        wide = complete if len(complete) > 1 else wide
-        if wide.empty:
-            continue
-        means = wide.mean().sort_values()
-        base = given.baseline if given.baseline in wide else means.index[0]
-        first = rows.iloc[0]
-        print(
-            f"\n{first['scenario']} {first['noise']}{''.join(f' {c}={first[c]}' for c in varied)} (cell {cell}), "
-            f"{given.metric}, "
-            f"compared with {base} = {means[base]:.4g}"
-        )
-        for name in means.index:
-            if name == base:
-                continue
-            pair = statistics.paired(wide[name], wide[base])
-            low, high = pair.percent_interval()
-            says = "larger" if low > 0 else "smaller" if high < 0 else "no difference seen"
-            if low != low:
-                print(f"  {name:24s} too few pairs with a value to compare: N = {pair.n}")
-                continue
-            print(
-                f"  {name:24s} {pair.percent.value:+8.2f} %  [{low:+.2f}, {high:+.2f}]  "
-                f"p = {pair.p_value:.2g}  N = {pair.n}  {says}"
-            )
+    try:
+        table = comparing.compare(given.run, given.baseline, given.metric)
+    except RuntimeError as error:
+        return _incomplete(error)
+    print("\n".join(comparing.lines(table)))
+    try:
+        write_frame(Path(given.run) / "compare.parquet", table)
+    except OSError as error:  # another one's run, or an archive
+        print(f"(not kept as {given.run}/compare.parquet: {error.strerror})", file=sys.stderr)
+    return 0
+
+
+def _incomplete(error: RuntimeError) -> int:
+    """Say which parts of a run have vanished."""
+    print(f"aoabench: {error}", file=sys.stderr)
+    return 1
+
+
+def collect(arguments: Sequence[str]) -> int:
+    """`aoabench collect`: make the tables of a run again from its parts."""
+    from aoabench import store, tables
+
+    parser = _Parser(prog="aoabench collect", description="Make the tables of a run from its parts; every run does so.")
+    parser.add_argument("run", help="folder of a run (runner.out)")
+    given = parser.parse_args(list(arguments))
+    out = Path(given.run)
+    noted = tables.records(out)
+    if not noted:
+        raise UserError(f"{out}: no results here; allowed: the runner.out folder of a run")
+    try:
+        with store.locked(out):
+            tables.collect(out)
+    except RuntimeError as error:
+        return _incomplete(error)
+    print(f"{len(noted)} cells: {out}/{{tidy,replications,summary,cells,timing}}.parquet")
     return 0
 
 

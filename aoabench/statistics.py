@@ -2,18 +2,23 @@
 
 Replications are independent, so the standard errors are those of independent draws; steps within a replication are
 never treated as draws. NaN values (failed replications) are left out of means and counted in the failure rate.
+Intervals that need more than value and standard error are in `intervals`.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aoabench import intervals
+from aoabench.intervals import finite, normal_quantile
+
 Array = np.ndarray
+CLUSTERED = ("rmse_3d_m", "rmse_xy_m", "rmse_z_m", "iterations")  # metrics that Clusters knows
 QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
 
 REPRODUCED = "reproduced"
@@ -36,21 +41,9 @@ class Estimate:
         return self.value - half, self.value + half
 
 
-def normal_quantile(confidence: float) -> float:
-    """z with P(|Z| <= z) = confidence for a standard normal Z."""
-    from scipy.special import ndtri
-
-    return float(ndtri(0.5 + confidence / 2))
-
-
-def _finite(values: ArrayLike) -> Array:
-    x = np.asarray(values, dtype=float)
-    return x[np.isfinite(x)]
-
-
 def mean(values: ArrayLike) -> Estimate:
     """Mean over replications (N,)."""
-    x = _finite(values)
+    x = finite(values)
     if len(x) == 0:
         return Estimate(math.nan, math.nan)
     return Estimate(float(x.mean()), float(x.std(ddof=1) / math.sqrt(len(x))) if len(x) > 1 else math.nan)
@@ -80,7 +73,7 @@ def quantile(values: ArrayLike, probability: float) -> Estimate:
 
     That is the deviation, under the empirical distribution, of the order statistic nearest to the quantile.
     """
-    x = np.sort(_finite(values))
+    x = np.sort(finite(values))
     n = len(x)
     if n == 0:
         return Estimate(math.nan, math.nan)
@@ -94,6 +87,18 @@ def quantile(values: ArrayLike, probability: float) -> Estimate:
     return Estimate(value, math.sqrt(float(w @ (x - w @ x) ** 2)))
 
 
+def cep(error: ArrayLike, probability: float = 0.5, axis: int = 0) -> Estimate:
+    """Quantile of all fixes' errors (R, T) m (NaN: no fix): of horizontal ones the circular error probable.
+
+    Independent units lie along `axis`: 0 replications, 1 positions that all replications share. The standard error is
+    that of `intervals.cep`, at two thirds' confidence.
+    """
+    e = finite(np.ravel(np.asarray(error, dtype=float)))
+    low, high = intervals.cep(error, probability, axis, confidence=2 / 3)
+    half = (high - low) / (2 * normal_quantile(2 / 3))
+    return Estimate(float(np.quantile(e, probability)) if len(e) else math.nan, half)
+
+
 def rate(count: int, n: int) -> Estimate:
     """A proportion with its standard error; half a count is added at 0 and n so that the error is never 0."""
     if n == 0:
@@ -104,12 +109,16 @@ def rate(count: int, n: int) -> Estimate:
 
 @dataclass(frozen=True)
 class Paired:
-    """Mean of a - b over paired replications; `percent` is 100 (mean a / mean b - 1)."""
+    """Mean of a - b over n paired replications; `percent` is 100 (mean a / mean b - 1).
+
+    `units` independent ones tell the standard errors: the replications, or the positions that these share.
+    """
 
     n: int
     difference: Estimate
     percent: Estimate
     p_value: float
+    units: int
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """Student-t interval of the difference."""
@@ -122,27 +131,62 @@ class Paired:
     def _around(self, estimate: Estimate, confidence: float) -> tuple[float, float]:
         from scipy.special import stdtrit
 
-        half = float(stdtrit(max(self.n - 1, 1), 0.5 + confidence / 2)) * estimate.se
+        half = float(stdtrit(max(self.units - 1, 1), 0.5 + confidence / 2)) * estimate.se
         return estimate.value - half, estimate.value + half
 
 
-def paired(a: ArrayLike, b: ArrayLike) -> Paired:
-    """Paired comparison of values (N,) of two estimators over the same replications; pairs with a NaN are left out."""
+def paired(a: ArrayLike, b: ArrayLike, influences: tuple[Array, Array] | None = None) -> Paired:
+    """Paired comparison of values (N,) of two estimators over the same replications; pairs with a NaN are left out.
+
+    `influences` of shared positions (P,) on the two means (Clusters.influence) cluster the standard errors by position.
+    """
     from scipy.special import stdtr
 
     x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     keep = np.isfinite(x) & np.isfinite(y)
     x, y = x[keep], y[keep]
-    n = len(x)
-    if n < 2:
+    u, v = (x, y) if influences is None else influences
+    n, units = len(x), len(u)
+    if n < (2 if influences is None else 1) or units < 2:
         nothing = Estimate(math.nan, math.nan)
-        return Paired(n, nothing, nothing, math.nan)
-    difference = mean(x - y)
+        return Paired(n, nothing, nothing, math.nan, units)
+    difference = Estimate(float((x - y).mean()), mean(u - v).se)
     ratio = x.mean() / y.mean() if y.mean() else math.nan
-    spread = mean(x - ratio * y).se / abs(y.mean()) if y.mean() else math.nan  # delta method for a ratio of means
+    spread = mean(u - ratio * v).se / abs(y.mean()) if y.mean() else math.nan  # delta method for a ratio of means
     t = difference.value / difference.se if difference.se > 0 else (0.0 if difference.value == 0 else math.inf)
-    p = 2 * float(stdtr(n - 1, -abs(t)))
-    return Paired(n, difference, Estimate(100 * (ratio - 1), 100 * spread), p)
+    p = 2 * float(stdtr(units - 1, -abs(t)))
+    return Paired(n, difference, Estimate(100 * (ratio - 1), 100 * spread), p, units)
+
+
+def paired_rate(a: ArrayLike, b: ArrayLike) -> Paired:
+    """Paired comparison of what happened (N,) or not to two estimators in the same replications.
+
+    `percent` is the difference in percentage points, shrunken and with the error of [Bonett, Price 2012], whose Wald
+    interval covers where few or none differ; the p-value is McNemar's exact one.
+    """
+    from scipy.special import betainc
+
+    x, y = np.asarray(a, dtype=bool), np.asarray(b, dtype=bool)
+    n, more, fewer = len(x), int((x & ~y).sum()), int((~x & y).sum())
+    if n < 1:
+        nothing = Estimate(math.nan, math.nan)
+        return Paired(n, nothing, nothing, math.nan, n)
+    up, down = (more + 1) / (n + 2), (fewer + 1) / (n + 2)
+    shift = Estimate(up - down, math.sqrt((up + down - (up - down) ** 2) / (n + 2)))
+    m, k = more + fewer, min(more, fewer)
+    p = 1.0 if more == fewer else min(1.0, 2 * float(betainc(m - k, k + 1, 0.5)))  # P(B <= k), B binomial (m, 1/2)
+    return Paired(n, Estimate((more - fewer) / n, shift.se), Estimate(100 * shift.value, 100 * shift.se), p, n)
+
+
+def needed(pair: Paired, percent: float, comparisons: int = 1, level: float = 0.05, power: float = 0.8) -> float:
+    """How many independent units (see Paired) would show a true difference of that many per cent.
+
+    With probability `power`, at the two-sided `level` shared among that many comparisons; NaN where nothing tells.
+    """
+    from scipy.special import ndtri
+
+    z = float(ndtri(1 - level / (2 * max(comparisons, 1))) + ndtri(power))
+    return pair.units * (z * pair.percent.se / percent) ** 2
 
 
 @dataclass(frozen=True)
@@ -165,6 +209,17 @@ class Clusters:
     def __add__(self, other: Clusters) -> Clusters:
         return Clusters(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
+    def influence(self, metric: str) -> Array | None:
+        """P times what each position (P,) adds to the mean over replications of a metric, about it; None if unknown.
+
+        The metric is a column of the replications table; the standard error of its mean is that of these terms' mean.
+        """
+        if metric == "iterations":
+            n = np.maximum(self.fixes, 1e-300)  # none at all: nothing to tell, without a warning
+            return (self.iterations - n * self.iterations.sum() / n.sum()) / n.mean()
+        axis = {"rmse_3d_m": "3d", "rmse_xy_m": "xy", "rmse_z_m": "z"}.get(metric)
+        return None if axis is None else len(self.fixes) * getattr(self, f"influence_{axis}") / self.replications
+
     def standard_errors(self) -> dict[str, float]:
         """Standard errors clustered by position, by the summary's names of what they belong to.
 
@@ -175,8 +230,7 @@ class Clusters:
         found = {}
         for axis, square in squares.items():
             found[f"rmse_pooled_{axis}_m"] = pooled_rmse(np.sqrt(square / n), self.fixes).se
-            influence = getattr(self, f"influence_{axis}") / self.replications
-            found[f"rmse_mean_{axis}_m"] = mean(len(n) * influence).se
+            found[f"rmse_mean_{axis}_m"] = mean(cast(Array, self.influence(f"rmse_{axis}_m"))).se
         found["iterations_mean"] = ratio(self.iterations, self.fixes).se
         return found
 
@@ -209,7 +263,7 @@ def summarise(rows: Any, clusters: Clusters | None = None) -> dict[str, Any]:
     """One row of the summary table from the replications (a frame) of one estimator in one cell.
 
     With `clusters`, standard errors of RMSE and iterations are clustered by position (`se_by`); those of quantiles and
-    of the failure rate are always over replications.
+    of the failure rate, whose 95 % interval is Wilson's, are always over replications.
     """
     n = len(rows)
     accepted = rows["n_ok"] + rows["n_oscillated"] + rows["n_diverged"]
@@ -225,6 +279,7 @@ def summarise(rows: Any, clusters: Clusters | None = None) -> dict[str, Any]:
     for q in QUANTILES:
         put(f"rmse_q{round(100 * q):02d}_3d_m", quantile(rows["rmse_3d_m"], q))
     put("failure_rate", rate(bad, n))
+    result["failure_rate_low"], result["failure_rate_high"] = intervals.rate(bad, n)
     put("nees_mean", mean(rows["nees"]))
     put("iterations_mean", mean(rows["iterations"]))
     for name in ("ok", "rejected", "oscillated", "diverged", "failed"):

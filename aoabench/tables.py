@@ -3,6 +3,7 @@
 <out>/cells/<cell>.json                    which cells, estimators and replications the tables show
 <out>/{replications,steps}.parquet/        one file per cell
 <out>/{cells,summary,timing}.parquet
+<out>/tidy.parquet                         all replications with their cells' swept parameters: what `load` gives
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from aoabench import statistics
 from aoabench.store import (
     IDENTITY,
     KINDS,
+    REPLICATIONS,
     flatten,
     intact_parts,
     provenance,
@@ -93,11 +95,13 @@ def known_timing(out: Path) -> dict[str, Any]:
 def collect(out: Path, only: Iterable[str] | None = None) -> None:
     """Make the tables of `out` from its parts; `only` names the cells whose rows have changed (None: all).
 
-    Raises RuntimeError if a part has vanished, so that no table is silently short.
+    Raises UserError if `out` holds no run, and RuntimeError if a part has vanished, so that no table is silently short.
     """
     import pandas as pd
 
     noted = records(out)
+    if not noted:
+        raise UserError(f"{out}: no results here; allowed: the runner.out folder of a run")
     changed = None if only is None else set(only)
     for record in noted:
         path = out / "replications.parquet" / f"{record['cell']}.parquet"
@@ -121,18 +125,52 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
         ]
     )
     cells["experiment"] = cells["experiment"].astype("string")
+    for parameter in next(iter(swept.values())):
+        cells[parameter] = one_kind(cells[parameter])
     write_frame(out / "cells.parquet", cells)
+    _write_tidy(out, cells)
     rows = []
     for record in noted:
         frame = pd.read_parquet(out / "replications.parquet" / f"{record['cell']}.parquet")
         for name, group in frame.groupby("estimator", sort=False):
-            clusters = _clusters(out, record["estimators"][name])
-            found = statistics.summarise(group, clusters)
+            found = statistics.summarise(group, clusters(out, record["cell"], str(name)))
             rows.append({**{k: record[k] for k in IDENTITY[:4]}, "estimator": name, **found})
     summary = pd.DataFrame(rows)
     summary["experiment"] = summary["experiment"].astype("string")
     write_frame(out / "summary.parquet", summary)
     write_timing(out)
+
+
+def one_kind(values: pd.Series) -> pd.Series:
+    """A column that Parquet can hold: as it is if all values are numbers, all text or all true or false, else text."""
+    there = values.dropna()
+    kinds = {bool if isinstance(v, bool) else str if isinstance(v, str) else float for v in there}
+    text = there.map(lambda v: v if isinstance(v, str) else json.dumps(v))
+    return values if len(kinds) < 2 else text.reindex(values.index)
+
+
+def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
+    """The replications of all cells with the columns of the cell table that they lack, cell by cell into one file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    extra = [c for c in cells.columns if c not in REPLICATIONS and c not in ("config", "estimators")]
+    beside = pa.Table.from_pandas(cells[extra], preserve_index=False)
+    outer = pa.schema([*schema(REPLICATIONS), *beside.schema.remove_metadata()])
+    outer = outer.with_metadata({"aoabench": json.dumps(provenance())})
+
+    repeated = [
+        name for name in outer.names if REPLICATIONS.get(name) != "double"
+    ]  # others gain nothing by a dictionary
+
+    def write(temporary: Path) -> None:
+        with pq.ParquetWriter(temporary, outer, compression="zstd", use_dictionary=repeated) as writer:
+            for i, cell in enumerate(cells["cell"]):
+                rows = pq.read_table(out / "replications.parquet" / f"{cell}.parquet")
+                same = [pa.repeat(column[i], len(rows)) for column in beside.columns]
+                writer.write_table(pa.table([rows[name] for name in REPLICATIONS] + same, schema=outer))
+
+    write_atomically(out / "tidy.parquet", write)
 
 
 def note_timing(out: Path, timing: Mapping[str, Any]) -> None:
@@ -235,12 +273,26 @@ def _fixes(part: pa.Table) -> Fixes:
     return Fixes(**arrays)
 
 
-def _clusters(out: Path, entry: Mapping[str, Any]) -> statistics.Clusters | None:
-    """Sums per true position where the replications share them, part by part; None where they do not."""
-    if not any(intact_parts(out, entry["key"], "fixes")):
+def clusters(
+    out: str | os.PathLike[str], cell: str, estimator: str, replications: Iterable[int] | None = None
+) -> statistics.Clusters | None:
+    """Sums per true position over all, or some, replications of one estimator in one cell, read part by part.
+
+    None where the replications do not share their positions.
+    """
+    import pyarrow as pa
+
+    root = Path(out)
+    entry = _read_record(root / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
+    if entry is None or not intact_parts(root, entry["key"], "fixes"):
         return None
+    wanted = None if replications is None else np.fromiter(replications, dtype=np.int64)
     total: statistics.Clusters | None = None
-    for part in _noted_parts(out, entry, "fixes"):
+    for part in _noted_parts(root, entry, "fixes"):
+        if wanted is not None:
+            part = part.filter(pa.array(np.isin(part["replication"].to_numpy(), wanted)))
+            if len(part) == 0:
+                continue
         one = _fixes(part)
         accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED]) & np.isfinite(one.error_xy_m)
         found = statistics.clusters(one.error_3d_m, one.error_xy_m, one.iterations, accepted)

@@ -532,7 +532,7 @@ def test_compare_names_the_cells_and_pairs_what_is_common(tmp_path, capsys):
     said = capsys.readouterr().out
     assert said.index("noise.sigma_deg=3") < said.index("noise.sigma_deg=9")
     assert "only 5 of 20 replications" in said
-    assert "larger" in said
+    assert "ekf_ae_nominal is worse than ekf_vmf by " in said
     dispatch(["compare", str(tmp_path), "--metric", "iterations"])
     assert "nan" not in capsys.readouterr().out
 

@@ -11,8 +11,8 @@ PACKAGE = Path(__file__).parents[2] / "aoabench"
 
 # top to bottom; a module may import from its own room and from rooms below
 LAYERS = [
-    ("cli", "bench"), ("reproducing", "replaying"), ("runner",), ("montecarlo",), ("scenarios",), ("noise",), ("models",),
-    ("filters",), ("estimators",), ("bounds",), ("metrics",), ("composing",), ("config",), ("report",), ("tables",), ("store",), ("statistics",), ("kernels",),
+    ("cli", "bench"), ("reproducing", "replaying", "comparing"), ("runner",), ("montecarlo",), ("scenarios",), ("noise",), ("models",),
+    ("filters",), ("estimators",), ("bounds",), ("metrics",), ("composing",), ("config",), ("report",), ("tables",), ("store",), ("statistics",), ("intervals",), ("kernels",),
     ("types",), ("directional",), ("geometry",), ("streams",),
 ]  # fmt: skip
 RANK = {room: i for i, rooms in enumerate(LAYERS) for room in rooms}

@@ -112,6 +112,8 @@ CASES = [
     (["reproduce", "--scale", "huge"], ["--scale", "huge", "quick"]),
     (["compare", "/no/such/run"], ["/no/such/run", "no results"]),
     (["compare"], ["run"]),
+    (["collect", "/no/such/run"], ["/no/such/run", "no results"]),
+    (["collect"], ["run"]),
     (["list", "filtre"], ["filtre"]),
     (["replay", "/no/such/run", "--replication", "0", "--estimator", "x"], ["/no/such/run"]),
 ]
