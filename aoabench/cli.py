@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from aoabench.types import UserError
+from aoabench.types import RunError, UserError
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
@@ -23,6 +23,9 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     except UserError as error:
         print(f"aoabench: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
+    except RunError as error:
+        print(f"aoabench: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(1)
     except KeyboardInterrupt:
         print("aoabench: interrupted; what was finished is kept, the same command goes on from there", file=sys.stderr)
         sys.exit(130)
@@ -161,7 +164,29 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
     shown["failed"] = [f"{v:.1%}" for v in mine["failure_rate"]]
     shown["fixes ok"] = [f"{v:.2%}" for v in mine["share_ok"]]
     print(shown.to_string(index=False, max_rows=60))
+    failures = pd.read_parquet(out / "failures.parquet")
+    told = failures.loc[[pair in asked for pair in zip(failures["cell"], failures["estimator"])], "error"].dropna()
+    if len(told):
+        print(f"exceptions and NaN in {len(told)} replications, e.g. {told.iloc[0]}; see {out}/failures.parquet")
+    if done.precision:
+        _print_precision(done.precision)
     print(f"tables: {out}/{{replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})")
+
+
+def _print_precision(rows: Sequence[Any]) -> None:
+    """What was asked for with until.*, and what was reached."""
+    first, short = rows[0], [row for row in rows if not row["reached"]]
+    wanted = [f"{first['wanted_se']:g}"] if first["wanted_se"] else []
+    wanted += [f"{first['wanted_relative_se']:.3g} of the mean"] if first["wanted_relative_se"] else []
+    print(
+        f"{first['metric']} until its standard error is at most {' and '.join(wanted)}: reached by "
+        f"{len(rows) - len(short)} of {len(rows)} (precision.parquet)"
+    )
+    for row in short[:20]:
+        print(
+            f"  not reached: cell {row['cell']} {row['estimator']}: {row['mean']:.4g} ± {row['se']:.2g} after "
+            f"{row['replications']} replications"
+        )
 
 
 # --- studies ----------------------------------------------------------------------------------------------------------

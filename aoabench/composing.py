@@ -60,7 +60,7 @@ def compose_cells(
             cfg = compose("config", overrides=job, return_hydra_config=True)
             cells.append(_cell(cfg, job, allowed, extra, config_dir))
     if len({cell.runner for cell in cells}) > 1:
-        raise UserError("runner and store cannot be swept: the cells of one run share them")
+        raise UserError("runner, store and until cannot be swept: the cells of one run share them")
     return cells
 
 

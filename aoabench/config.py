@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import importlib
+import math
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,12 +17,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from aoabench.store import digest, shipped
-from aoabench.types import BadValue, UserError, check_number
+from aoabench.store import REPLICATIONS, digest, shipped
+from aoabench.types import BadValue, UserError, check_choice, check_number
 
 PLUG_INS = tuple(f"aoabench.{room}" for room in ("scenarios", "noise", "models", "filters", "estimators"))
 GROUPS = ("scenario", "noise", "filter", "estimator", "runner", "experiment")
-_TOP_LEVEL = ("scenario", "noise", "filter", "estimator", "runner", "store", "reps", "seed", "plugins")
+_TOP_LEVEL = ("scenario", "noise", "filter", "estimator", "runner", "store", "until", "reps", "seed", "plugins")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -110,6 +111,38 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
 
 
 @dataclass(frozen=True)
+class Until:
+    """Replications until the mean of `metric` is known to a standard error: `se` in its unit, or relative to the mean.
+
+    Looked at when all of the first min_reps, 1.25 min_reps, 1.25^2 min_reps ... max_reps are there, so that the outcome
+    depends on the replications alone. Both errors have to be reached where both are given.
+    """
+
+    metric: str
+    se: float | None = None
+    relative_se: float | None = None
+    min_reps: int = 200
+    max_reps: int = 20_000
+
+    def __post_init__(self) -> None:
+        check_choice("until.metric", self.metric, [c for c, kind in REPLICATIONS.items() if kind == "double"])
+        check_number("until.se", self.se, above=0, optional=True)
+        check_number("until.relative_se", self.relative_se, above=0, optional=True)
+        check_number("until.min_reps", self.min_reps, least=2, most=100_000_000, integer=True)
+        check_number("until.max_reps", self.max_reps, least=self.min_reps, most=100_000_000, integer=True)
+        if self.se is self.relative_se is None:
+            raise BadValue("until.se", None, "a number > 0, here or for until.relative_se, where until.metric is given")
+
+    @property
+    def counts(self) -> list[int]:
+        """The numbers of replications at which to look, increasing; the last one is max_reps."""
+        found = [self.min_reps]
+        while found[-1] < self.max_reps:
+            found.append(min(math.ceil(1.25 * found[-1]), self.max_reps))
+        return found
+
+
+@dataclass(frozen=True)
 class RunnerOptions:
     """How to run: never part of what is computed."""
 
@@ -118,12 +151,15 @@ class RunnerOptions:
     backend: str = "loky"
     chunk: int | None = None
     steps: bool = False
+    max_failed: float = 0.5
+    until: Until | None = None
 
     def __post_init__(self) -> None:
         check_number("runner.n_jobs", self.n_jobs, least=-1, integer=True)
         if self.n_jobs == 0:
             raise BadValue("runner.n_jobs", 0, "an integer >= 1, or -1 for all cores")
         check_number("runner.chunk", self.chunk, least=1, integer=True, optional=True)
+        check_number("runner.max_failed", self.max_failed, least=0, most=1)
         if self.backend not in ("loky", "threading", "sequential"):
             raise BadValue("runner.backend", self.backend, "one of loky, threading, sequential")
         if not isinstance(self.out, str) or not self.out.strip():
@@ -272,8 +308,10 @@ def parse_plugins(overrides: Sequence[str]) -> tuple[str, ...]:
 
 
 def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
-    nodes: dict[str, Any] = {}
-    for path, known in (("runner", ("out", "n_jobs", "backend", "chunk")), ("store", ("steps",))):
+    runner = tuple(f.name for f in dataclasses.fields(RunnerOptions) if f.name not in ("steps", "until"))
+    until = tuple(f.name for f in dataclasses.fields(Until))
+    nodes: dict[str, dict[str, Any]] = {}
+    for path, known in (("runner", runner), ("store", ("steps",)), ("until", until)):
         node = plain.get(path)
         if not isinstance(node, dict):
             raise BadValue(path, node, "keys " + ", ".join(known))
@@ -282,10 +320,16 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
                 raise UserError(
                     f"{path}.{key}: unknown key{did_you_mean(key, known) or '; allowed: ' + ', '.join(known)}"
                 )
-        nodes |= node
-    if "out" not in nodes:
+        nodes[path] = node
+    if "out" not in nodes["runner"]:
         raise UserError("runner.out: missing; allowed: the path of a folder")
-    return RunnerOptions(**nodes)
+    goal = nodes["until"]
+    if goal.get("metric") is None:
+        for key in ("se", "relative_se"):
+            if goal.get(key) is not None:
+                raise UserError(f"until.{key}={goal[key]}: of what? allowed: until.metric=rmse_3d_m with it, say")
+        return RunnerOptions(**nodes["runner"], **nodes["store"])
+    return RunnerOptions(**nodes["runner"], **nodes["store"], until=Until(**goal))
 
 
 def import_plugins(plugins: Sequence[str]) -> None:

@@ -32,12 +32,19 @@ class UserError(Exception):
     """A mistake that only the user can mend: one clear line, exit status 2."""
 
 
+class RunError(Exception):
+    """What stopped a run and no check of its input could foresee: one clear line, exit status 1."""
+
+
 class BadValue(UserError, ValueError):
     """A parameter out of range: `key`, the `value` given and what is `allowed`."""
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         self.key, self.value, self.allowed = key, value, allowed
         super().__init__(f"{key}={value!r} is not allowed; allowed: {allowed}")
+
+    def __reduce__(self) -> tuple[type, tuple[str, object, str]]:  # so that a worker can raise it
+        return type(self), (self.key, self.value, self.allowed)
 
 
 def check_number(

@@ -451,7 +451,7 @@ def test_wrong_shapes_are_named(tmp_path):
 
 
 def test_what_estimators_share_cannot_be_written(tmp_path):
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(aoabench.RunError, match="read-only"):
         aoabench.run("filter=[]", "reps=5", "runner.n_jobs=1", estimators={"a": Careless("writes")}, out=tmp_path)
 
 
