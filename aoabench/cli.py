@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from aoabench.types import RunError, UserError
+from aoabench.types import RunError, UserError, check_number
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
@@ -95,8 +95,10 @@ def run(arguments: Sequence[str]) -> int:
     parser.add_argument("--resolve", action="store_true")
     parser.add_argument("-h", "--help", action="store_true")
     parser.add_argument("-cd", "--config-dir")
+    parser.add_argument("--worst", type=int, default=0, metavar="N")
     overrides = [a for a in arguments if a.startswith("~") or ("=" in a and not a.startswith("-"))]
     given = parser.parse_args([a for a in arguments if a not in overrides])
+    check_number("--worst", given.worst, least=0, integer=True)
     if given.help:
         print(_run_help(given.config_dir))
         return 0
@@ -106,6 +108,8 @@ def run(arguments: Sequence[str]) -> int:
     cells = composing.compose_cells(overrides, config_dir=given.config_dir, sweep=given.multirun)
     done = runner.run(cells)
     _print_run(done, cells)
+    if given.worst:
+        _print_worst(done.out, cells, given.worst)
     return 0
 
 
@@ -123,6 +127,7 @@ aoabench run: simulate one cell, or with -m a sweep over cells, and keep every r
 
 -m, --multirun      sweep: KEY=VALUE,VALUE makes a cell of each combination (Hydra's syntax, range() and glob() too)
 -c job, --cfg job   show the composed config; with --resolve its interpolations too, with -p KEY a part of it
+--worst N           name the N worst replications of the run, each with the command that replays it
 --config-dir DIR    a folder with configs of your own (DIR/filter/mine.yaml ...), appended to the shipped ones
 
 == Examples ==
@@ -187,6 +192,27 @@ def _print_precision(rows: Sequence[Any]) -> None:
             f"  not reached: cell {row['cell']} {row['estimator']}: {row['mean']:.4g} ± {row['se']:.2g} after "
             f"{row['replications']} replications"
         )
+
+
+def _print_worst(out: Path, cells: Sequence[Any], n: int) -> None:
+    """The worst replications: those without a position first, then by their RMSE; how many medians that is."""
+    from aoabench import tables
+
+    frame = tables.load(out)
+    asked = {(c.id, name) for c in cells for name in c.estimators}
+    frame = frame[[pair in asked for pair in zip(frame["cell"], frame["estimator"])]]
+    median = frame.groupby(["cell", "estimator"])["rmse_3d_m"].transform("median")
+    frame = frame.assign(times=frame["rmse_3d_m"] / median)
+    worst = frame.sort_values("rmse_3d_m", ascending=False, na_position="first", kind="stable").head(n)
+    by_id = {c.id: c for c in cells}
+    print(f"the {len(worst)} worst replications, by RMSE 3-D:")
+    for row in worst.to_dict("records"):
+        cell = by_id[row["cell"]]
+        error = "no position" if row["rmse_3d_m"] != row["rmse_3d_m"] else f"{row['rmse_3d_m']:.4g} m"
+        times = f", {row['times']:.3g} times its estimator's median" if row["times"] == row["times"] else ""
+        print(f"  {row['noise']} {row['estimator']} replication {row['replication']}: {error}{times}, {row['outcome']}")
+        again = tables.replay_command(out, row["cell"], row["estimator"], row["replication"], cell.config, cell.plugins)
+        print(f"    {again}")
 
 
 # --- studies ----------------------------------------------------------------------------------------------------------
@@ -288,9 +314,11 @@ def compare(arguments: Sequence[str]) -> int:
 
 
 def replay(arguments: Sequence[str]) -> int:
-    """`aoabench replay`: repeat one replication of a run and write its truth, measurements and estimates."""
+    """`aoabench replay`: repeat one replication of a run and write its trace and a picture of it."""
     from aoabench import replaying
     from aoabench.config import parse_plugins
+
+    os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
 
     parser = _Parser(prog="aoabench replay", description="Repeat one replication of a run with its trace.")
     parser.add_argument("run", help="folder of a run (runner.out)")

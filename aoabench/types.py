@@ -239,7 +239,8 @@ class Estimator(Protocol):
     """The one plug that recursive filters and snapshot estimators share.
 
     An optional class attribute `tile` says how many replications it wants at once (always exactly that many). An
-    optional method `prepare(say)` is called once before others work in parallel, to compile something, say.
+    optional method `prepare(say)` is called once before others work in parallel, to compile something, say. An
+    optional method `trace(batch, scenario, streams) -> {name: (R, T)}` gives what a replay shows beyond the estimates.
     """
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates: ...

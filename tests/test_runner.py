@@ -481,18 +481,6 @@ def test_steps_follow_what_was_asked_for_last(tmp_path):
     assert not list((tmp_path / "steps.parquet").glob("*.parquet"))
 
 
-def test_replay_repeats_a_replication_exactly(tmp_path, capsys):
-    from aoabench.replaying import replay
-
-    run(tmp_path, "reps=20")
-    for name in ("ekf_vmf", "ukf_ae_adaptive"):
-        assert "as stored" in replay(tmp_path, 13, name)
-    trace = pd.read_parquet(next((tmp_path / "replay").glob("*ekf_vmf-13.parquet")))
-    assert len(trace) == 64
-    with pytest.raises(aoabench.UserError, match="0 to 19"):
-        replay(tmp_path, 20, "ekf_vmf")
-
-
 def test_equal_numbers_have_equal_keys(tmp_path):
     aoabench.run("filter=[ekf_vmf]", "noise.sigma_deg=5", "reps=5", out=tmp_path)
     aoabench.run("filter=[ukf_vmf]", "noise.sigma_deg=5.0", "reps=5", out=tmp_path)
