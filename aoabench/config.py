@@ -11,10 +11,11 @@ import difflib
 import importlib
 import math
 import os
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from aoabench.store import REPLICATIONS, digest, shipped
@@ -150,6 +151,7 @@ class RunnerOptions:
     n_jobs: int = -1
     backend: str = "loky"
     chunk: int | None = None
+    address: str | None = None
     steps: bool = False
     max_failed: float = 0.5
     until: Until | None = None
@@ -160,12 +162,21 @@ class RunnerOptions:
             raise BadValue("runner.n_jobs", 0, "an integer >= 1, or -1 for all cores")
         check_number("runner.chunk", self.chunk, least=1, integer=True, optional=True)
         check_number("runner.max_failed", self.max_failed, least=0, most=1)
-        if self.backend not in ("loky", "threading", "sequential"):
-            raise BadValue("runner.backend", self.backend, "one of loky, threading, sequential")
+        check_choice("runner.backend", self.backend, ("loky", "threading", "sequential", "dask"))
+        if self.backend == "dask" and not _is_address(self.address):
+            raise BadValue("runner.address", self.address, "the scheduler's tcp://HOST:PORT (or tls://HOST:PORT)")
+        if self.backend != "dask" and self.address is not None:
+            raise BadValue("runner.address", self.address, "null, unless runner.backend=dask")
         if not isinstance(self.out, str) or not self.out.strip():
             raise BadValue("runner.out", self.out, "the path of a folder")
         if not isinstance(self.steps, bool):
             raise BadValue("store.steps", self.steps, "true or false")
+
+
+def _is_address(value: object) -> bool:
+    return (
+        isinstance(value, str) and re.fullmatch(r"(tcp|tls)://(\[[0-9a-fA-F:]+\]|[\w.-]+):\d{1,5}", value) is not None
+    )
 
 
 @dataclass(frozen=True)
@@ -203,15 +214,16 @@ def build(
     choices: Mapping[str, Any],
     *,
     overrides: Sequence[str] = (),
+    typed: Iterable[str] = (),
     plugins: Sequence[str] = (),
     changed: Mapping[str, Any] | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> Cell:
     """Validate one composed and resolved job and make its objects.
 
-    `choices` names the presets chosen, `overrides` the job's settings, `plugins` the packages that the user's own
-    command line names, `changed` the estimators' parameters that differ from their presets, `extra` further estimators
-    given as objects. Raises UserError for everything that can be known before a run.
+    `choices` names the presets chosen, `overrides` the job's settings, `typed` the keys that the user's own command
+    line sets and `plugins` the packages that it names, `changed` the estimators' parameters that differ from their
+    presets, `extra` further estimators given as objects. Raises UserError for all that can be known before a run.
     """
     for key in plain:
         if key not in _TOP_LEVEL:
@@ -223,6 +235,7 @@ def build(
     check_number("reps", plain.get("reps"), least=1, most=100_000_000, integer=True)
     check_number("seed", plain.get("seed"), least=0, most=2**63 - 1, integer=True)
     runner = _runner(plain)
+    _check_reach(runner, set(typed))
     for group in ("scenario", "noise"):
         if not isinstance(choices.get(group), str) or not plain.get(group):
             raise UserError(
@@ -237,6 +250,9 @@ def build(
         if name in estimators:
             raise UserError(f"estimators[{name!r}]: a preset of this name is selected; choose another name")
         estimators[name] = _as(f"estimators[{name!r}]", estimator, ("__call__",))
+    for name in estimators:
+        if not isinstance(name, str) or re.search(r"^\.|[/\\\x00-\x1f]", name):
+            raise UserError(f"{name!r}: not a name for an estimator; allowed: no slashes, no dot in front")
     if not estimators:
         known = ", ".join((*options("filter"), *options("estimator")))
         raise UserError(f"filter=[], estimator=[]: one must be given, e.g. 'filter=[ekf_vmf]'; allowed: {known}")
@@ -330,6 +346,21 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
                 raise UserError(f"until.{key}={goal[key]}: of what? allowed: until.metric=rmse_3d_m with it, say")
         return RunnerOptions(**nodes["runner"], **nodes["store"])
     return RunnerOptions(**nodes["runner"], **nodes["store"], until=Until(**goal))
+
+
+def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
+    """Raise UserError where a config, not the command line, leads out of the working folder or to another machine.
+
+    What a scheduler sends back is unpickled: whoever names it could run code here.
+    """
+    out = PurePath(runner.out)
+    if "runner.out" not in typed and (out.is_absolute() or ".." in out.parts or runner.out.startswith("~")):
+        allowed = "a folder below the working folder; elsewhere only by runner.out=... on the command line"
+        raise BadValue("runner.out", runner.out, allowed)
+    own = runner.address in (None, os.environ.get("DASK_SCHEDULER_ADDRESS")) or "runner.address" in typed
+    if not own:
+        allowed = "only runner.address=... on the command line, or the environment's DASK_SCHEDULER_ADDRESS"
+        raise BadValue("runner.address", runner.address, allowed)
 
 
 def import_plugins(plugins: Sequence[str]) -> None:

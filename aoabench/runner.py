@@ -7,8 +7,10 @@ nothing finished is lost.
 from __future__ import annotations
 
 import errno
+import importlib
 import math
 import os
+import platform
 import sys
 import threading
 import time
@@ -26,6 +28,9 @@ from aoabench.config import Cell, Until
 from aoabench.types import RunError, UserError
 
 _LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
+_PATIENCE_S = 90  # for workers to come, and for a network file system to show what they wrote
+_WAITING_TASKS = 256  # handed to a cluster ahead, for workers that come later
+_CONNECT_S = 10  # for a scheduler to answer
 _HOPELESS = 100  # so many replications, all of them lost, tell that the rest will be, too
 
 
@@ -246,8 +251,11 @@ def _explained(out: Path) -> Iterator[None]:
         raise RunError(f"out of memory ({error or 'no more to be had'}); {less}; {kept}") from error
     except BrokenExecutor as error:
         raise RunError(f"a worker process was killed, for using too much memory perhaps; {less}; {kept}") from error
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO):
+    except Exception as error:
+        if type(error).__module__.partition(".")[0] == "distributed":
+            raise RunError(f"the Dask cluster gave up: {type(error).__name__}: {error}; {kept}") from error
+        disk = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+        if not isinstance(error, OSError) or error.errno not in disk:
             raise
         raise RunError(f"{out} cannot be written any more: {os.strerror(error.errno)}; {kept}") from error
 
@@ -350,6 +358,18 @@ def _compute(
             note(tasks[number], losses)
             advance(tasks[number].size)
 
+        if options.backend == "dask":
+            # every worker opens the folder by its full name, so that its own working folder does not matter
+            where, codes = out.resolve(), {task.cell.id: store.code_key(task.cell) for task in tasks}
+            with _cluster(options.address, tasks) as backend:
+                parallel = Parallel(
+                    -1, backend=backend, return_as="generator_unordered", pre_dispatch=_WAITING_TASKS, batch_size=1
+                )
+                calls = ((i, t, where, codes[t.cell.id]) for i, t in enumerate(tasks) if not skip(t))
+                for found in parallel(delayed(_far_away)(*call) for call in calls):
+                    _wait_until_seen(tasks[found[0]], out)
+                    finish(*found)
+            return
         if workers == 1 or options.backend == "sequential":
             for i, task in enumerate(tasks):
                 if not skip(task):
@@ -375,6 +395,81 @@ def _compute(
 
 def _numbered(number: int, task: Task, out: Path) -> tuple[int, dict[str, Loss]]:
     return number, compute(task, out)
+
+
+@contextmanager
+def _cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
+    """joblib's way to the Dask cluster of that scheduler, which imports from where this process does."""
+    from joblib._dask import DaskDistributedBackend
+
+    try:
+        from distributed import Client, WorkerPlugin
+    except ImportError:
+        raise UserError("runner.backend=dask: needs Dask; pip install 'aoabench[dask]'") from None
+
+    class Backend(DaskDistributedBackend):
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            return max(super().effective_n_jobs(n_jobs), 2)  # the work of a single thread would be kept here
+
+    class SamePath(WorkerPlugin):  # a plug-in reaches workers that come later, too
+        name = "aoabench-path"
+
+        def __init__(self, path: list[str]) -> None:
+            self.path = path
+
+        def setup(self, worker: Any) -> None:
+            _add_path(self.path, ())
+
+    try:
+        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, TimeoutError) as error:
+        raise UserError(f"runner.address={address!r}: no scheduler answers there ({type(error).__name__})") from None
+    with client:
+        modules = {type(e).__module__ for task in tasks for e in task.cell.estimators.values()} - {"__main__"}
+        try:  # a scheduler that cannot read a task loses it
+            missing = client.run_on_scheduler(_add_path, sys.path, sorted(modules))
+        except ImportError as error:
+            missing = str(error)
+        if missing:
+            raise UserError(f"runner.address={address!r}: the scheduler does not import what this run does: {missing}")
+        client.register_plugin(SamePath(sys.path))
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE_S)
+        except TimeoutError:
+            raise RunError(f"runner.address={address!r}: no worker has come within {_PATIENCE_S} s") from None
+        yield Backend(client=client)
+
+
+def _add_path(path: Sequence[str], modules: Sequence[str]) -> str | None:
+    """Import from these folders too; says what keeps the modules from being imported."""
+    sys.path.extend(p for p in path if p not in sys.path)
+    try:
+        for module in modules:
+            importlib.import_module(module)
+    except ImportError as error:
+        return str(error)
+    return None
+
+
+def _far_away(number: int, task: Task, out: Path, code: str) -> tuple[int, dict[str, Loss]]:
+    """Compute a task on a machine that may be another one; RunError if its numbers would differ or not be seen here."""
+    here = platform.node()
+    if store.code_key(task.cell) != code:
+        raise RunError(
+            f"the worker on {here} has another version of the code, of a plug-in or of a library than this run"
+        )
+    if not (out / ".lock").exists():
+        raise RunError(f"the worker on {here} does not see {out}: all workers need the file system that it is on")
+    return _numbered(number, task, out)
+
+
+def _wait_until_seen(task: Task, out: Path) -> None:
+    """Until the task's parts are visible here: network file systems take their time."""
+    deadline = time.monotonic() + _PATIENCE_S
+    while not all(store.has_part(out, key, task.start, task.stop, _kind(task.cell)) for key in task.keys.values()):
+        if time.monotonic() > deadline:
+            raise RunError(f"what the workers wrote does not show up in {out}: they need the file system that it is on")
+        time.sleep(0.5)
 
 
 def prepare(tasks: Sequence[Task], progress: bool) -> None:

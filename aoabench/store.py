@@ -96,8 +96,19 @@ def draws_key(cell: Any) -> str:
         "seed": cell.seed,
         "files": [_checksum(path) for o in (cell.scenario, cell.noise) for path in getattr(o, "files", ())],
         "source": source_hash({"aoabench.montecarlo", *_modules([cell.scenario, cell.noise])}, cell.plugins),
-        "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "shapely")},
+        "versions": _versions(),
     })  # fmt: skip
+
+
+def code_key(cell: Any) -> str:
+    """Hash of the source and libraries that a cell's numbers depend on, as they are where this is called."""
+    modules = _modules([cell.scenario, cell.noise, *cell.estimators.values()]) - {"__main__"}
+    source = source_hash({"aoabench.montecarlo", *modules}, cell.plugins)
+    return digest([source, _versions()])
+
+
+def _versions() -> dict[str, str | None]:
+    return {name: version(name) for name in ("numpy", "scipy", "numba", "shapely")}
 
 
 def digest(content: Any) -> str:
@@ -249,6 +260,7 @@ def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
     try:
         import fcntl
     except ImportError:
+        (out / ".lock").touch()
         yield
         return
     with (out / ".lock").open("a+") as file:
@@ -256,7 +268,7 @@ def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
-            say(f"another run{file.readline().strip()} is writing into {out}: waiting until it has ended ...")
+            say(f"another run{file.readline().rstrip()} is writing into {out}: waiting until it has ended ...")
             fcntl.flock(file, fcntl.LOCK_EX)
         except OSError as error:
             say(f"{out}: no file locks here ({error.strerror}); do not start two runs into it at once")
