@@ -21,6 +21,7 @@ from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome, Use
 
 Rows = dict[str, np.ndarray]
 
+_TIMED = 16  # replications that a tile is filled with to take its time
 _SPAN = 64  # replications whose estimates are held before they become rows
 
 
@@ -263,26 +264,30 @@ def time_estimators(
 ) -> dict[str, tuple[float, int, int]]:
     """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS at one thread.
 
-    After a first pass, which warms up, up to `repeats` more on the next tiles, as long as they fit into about a second.
-    The simulation is not counted, nor is a tile that the estimator raises on; without any other it has no timing.
+    After a first pass, which warms up, up to `repeats` more, as long as they fit into about a second. Large tiles are
+    filled by a few replications, since the simulation is not counted; nor is a tile that the estimator raises on, and
+    without any other there is no timing.
     """
     result = {}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for name, estimator in estimators.items():
-            seconds: list[float] = []
-            for first in range(0, (repeats + 1) * tile_of(estimator), tile_of(estimator)):
+            size, seconds = tile_of(estimator), list[float]()
+            few = min(size, _TIMED)
+            for number in (0, *range(repeats)):
                 if sum(seconds) >= 1.0:
                     break
-                truth, _ = draws.tile(first, tile_of(estimator))
+                first = number if size == 1 else 0
+                truth, batch = draws.tile(first, few)
+                full = batch if few == size else _placed(batch, np.arange(size) % few)
+                streams = Streams(seed, scenario.name, tuple(range(first, first + size)))
                 begin = time.perf_counter()
                 with contextlib.suppress(Exception):  # counted as a failure where it is computed
-                    estimate_tile(draws, estimator, first)
+                    checked(estimator(full, scenario, streams), (size, truth.shape[1]), name)
                     seconds.append(time.perf_counter() - begin)
             seconds = seconds[1:] or seconds
-            if not seconds:
-                continue
-            result[name] = (float(np.median(seconds)), truth.shape[0], truth.shape[1])
+            if seconds:
+                result[name] = (float(np.median(seconds)), size, truth.shape[1])
     return result
 
 

@@ -31,6 +31,7 @@ _LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded mem
 _PATIENCE_S = 90  # for workers to come, and for a network file system to show what they wrote
 _WAITING_TASKS = 256  # handed to a cluster ahead, for workers that come later
 _CONNECT_S = 10  # for a scheduler to answer
+_FEW = 100  # replications
 _HOPELESS = 100  # so many replications, all of them lost, tell that the rest will be, too
 
 
@@ -104,7 +105,11 @@ class _Run:
     def __init__(self, out: Path, cells: Sequence[Cell], progress: bool) -> None:
         self.out, self.cells, self.progress = out, cells, progress
         self.options = cells[0].runner
-        self.keys = {cell.id: {name: store.part_key(cell, name) for name in cell.estimators} for cell in cells}
+        self.draws = {cell.id: store.draws_key(cell) for cell in cells}
+        self.keys = {
+            cell.id: {name: store.part_key(cell, name, self.draws[cell.id]) for name in cell.estimators}
+            for cell in cells
+        }
         self.losses: dict[str, Loss] = {}  # by part key
         self.there: dict[str, int] = {}  # by part key: replications computed, whichever
         self.goal: dict[str, int] = {}  # by cell: replications wanted so far
@@ -213,8 +218,8 @@ class _Run:
             if cell.id in self.stopped:  # whatever is there without a gap
                 reps = {name: self._prefix(cell, key) for name, key in keys.items()}
             shown += sum(reps.values())
-            draws, precision = store.draws_key(cell), self.precision.get(cell.id, {})
-            tables.record_cell(self.out, cell, keys, draws, known, reps, precision)
+            precision = self.precision.get(cell.id, {})
+            tables.record_cell(self.out, cell, keys, self.draws[cell.id], known, reps, precision)
         tables.collect(self.out, {cell.id for cell in self.cells})
         fresh: dict[str, Any] = {}
         for cell in self.cells:
@@ -528,7 +533,8 @@ def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
     if not keys:
         return {}
     estimators = {name: cell.estimators[name] for name in keys}
-    measured = montecarlo.time_estimators(cell.scenario, cell.noise, estimators, cell.seed)
+    repeats = 1 if cell.reps < _FEW else 3  # of many small cells nobody wants to wait for the timing
+    measured = montecarlo.time_estimators(cell.scenario, cell.noise, estimators, cell.seed, repeats)
     return {
         keys[name]: {
             "seconds_per_step": seconds / (replications * steps),

@@ -77,12 +77,12 @@ def shipped(folder: str) -> Path:
     return inside if inside.is_dir() else package.parent / folder
 
 
-def part_key(cell: Any, estimator: str) -> str:
-    """Hash of everything that one estimator's rows in one cell depend on."""
+def part_key(cell: Any, estimator: str, draws: str | None = None) -> str:
+    """Hash of everything that one estimator's rows in one cell depend on; `draws` is the cell's draws_key, if known."""
     obj = cell.estimators[estimator]
     preset = {**(cell.config.get("filter") or {}), **(cell.config.get("estimator") or {})}.get(estimator)
     return digest({
-        "draws": draws_key(cell),
+        "draws": draws or draws_key(cell),
         "estimator": _described(obj) if preset is None else preset,
         "source": source_hash(_modules([obj]), cell.plugins),
     })  # fmt: skip
@@ -183,9 +183,14 @@ def source_hash(roots: Iterable[str], plugins: Sequence[str] = ()) -> str:
 def _is_ours(name: str, file: Path, ours: Sequence[str]) -> bool:
     if name == "__main__" or any(name == p or name.startswith(p + ".") for p in ours):
         return True
-    libraries = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"))
-    return not (
-        {"site-packages", "dist-packages"} & set(file.parts) or any(file.is_relative_to(p) for p in libraries if p)
+    return not _is_library(file)
+
+
+@functools.cache
+def _is_library(file: Path) -> bool:
+    standard = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"))
+    return bool({"site-packages", "dist-packages"} & set(file.parts)) or any(
+        file.is_relative_to(p) for p in standard if p
     )
 
 
@@ -221,6 +226,7 @@ def _package(module: str, file: Path) -> str:
     return module if file.name == "__init__.py" else module.rpartition(".")[0]
 
 
+@functools.cache
 def version(name: str) -> str | None:
     """Version of an installed library; None if it is not there."""
     try:
