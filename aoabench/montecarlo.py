@@ -21,7 +21,7 @@ from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome, Use
 
 Rows = dict[str, np.ndarray]
 
-_TIMED = 16  # replications that a tile is filled with to take its time
+_TIMED = 8  # replications that a tile is filled with to take its time
 _SPAN = 64  # replications whose estimates are held before they become rows
 
 

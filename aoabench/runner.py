@@ -430,7 +430,8 @@ def _cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
     except (OSError, TimeoutError) as error:
         raise UserError(f"runner.address={address!r}: no scheduler answers there ({type(error).__name__})") from None
     with client:
-        modules = {type(e).__module__ for task in tasks for e in task.cell.estimators.values()} - {"__main__"}
+        used = (o for t in tasks for o in (t.cell.scenario, t.cell.noise, *t.cell.estimators.values()))
+        modules = {type(one).__module__ for one in used} - {"__main__"}
         try:  # a scheduler that cannot read a task loses it
             missing = client.run_on_scheduler(_add_path, sys.path, sorted(modules))
         except ImportError as error:
