@@ -10,7 +10,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from aoabench.types import Anchors, Batch, Estimates, Estimator, Measurements, Outcome, UserError
+from aoabench.types import Anchors, Batch, Estimates, Estimator, Measurements, Outcome, RunError, UserError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,6 +23,7 @@ __all__ = [
     "Estimator",
     "Measurements",
     "Outcome",
+    "RunError",
     "UserError",
     "compare",
     "load",
@@ -42,7 +43,8 @@ def run(
 
     Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]", "noise.sigma_deg=2,5", "reps=200")`.
     `estimators` adds objects of your own by name: callables (batch, scenario, streams) -> Estimates, which see the same
-    draws as the presets. `out` is the folder of the tables (runner.out). Raises UserError for a mistake in the input.
+    draws as the presets. `out` is the folder of the tables (runner.out). Raises UserError for a mistake in the input,
+    RunError for what stopped the run on its way.
     """
     from aoabench import runner
     from aoabench.composing import compose_cells

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from aoabench.types import UserError
+from aoabench.types import RunError, UserError, check_number
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
@@ -23,6 +23,9 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     except UserError as error:
         print(f"aoabench: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
+    except RunError as error:
+        print(f"aoabench: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(1)
     except KeyboardInterrupt:
         print("aoabench: interrupted; what was finished is kept, the same command goes on from there", file=sys.stderr)
         sys.exit(130)
@@ -94,8 +97,10 @@ def run(arguments: Sequence[str]) -> int:
     parser.add_argument("--resolve", action="store_true")
     parser.add_argument("-h", "--help", action="store_true")
     parser.add_argument("-cd", "--config-dir")
+    parser.add_argument("--worst", type=int, default=0, metavar="N")
     overrides = [a for a in arguments if a.startswith("~") or ("=" in a and not a.startswith("-"))]
     given = parser.parse_args([a for a in arguments if a not in overrides])
+    check_number("--worst", given.worst, least=0, integer=True)
     if given.help:
         print(_run_help(given.config_dir))
         return 0
@@ -109,6 +114,8 @@ def run(arguments: Sequence[str]) -> int:
     _print_run(done, cells)
     for cell in {cell.id: cell for cell in cells if getattr(cell.scenario, "recorded", None) is not None}.values():
         _draw_recording(done.out, cell)
+    if given.worst:
+        _print_worst(done.out, cells, given.worst)
     return 0
 
 
@@ -137,6 +144,7 @@ aoabench run: simulate one cell, or with -m a sweep over cells, and keep every r
 
 -m, --multirun      sweep: KEY=VALUE,VALUE makes a cell of each combination (Hydra's syntax, range() and glob() too)
 -c job, --cfg job   show the composed config; with --resolve its interpolations too, with -p KEY a part of it
+--worst N           name the N worst replications of the run, each with the command that replays it
 --config-dir DIR    a folder with configs of your own (DIR/filter/mine.yaml ...), appended to the shipped ones
 
 == Examples ==
@@ -178,7 +186,50 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
     shown["failed"] = [f"{v:.1%}" for v in mine["failure_rate"]]
     shown["fixes ok"] = [f"{v:.2%}" for v in mine["share_ok"]]
     print(shown.to_string(index=False, max_rows=60))
+    failures = pd.read_parquet(out / "failures.parquet")
+    told = failures.loc[[pair in asked for pair in zip(failures["cell"], failures["estimator"])], "error"].dropna()
+    if len(told):
+        print(f"exceptions and NaN in {len(told)} replications, e.g. {told.iloc[0]}; see {out}/failures.parquet")
+    if done.precision:
+        _print_precision(done.precision)
     print(f"tables: {out}/{{tidy,replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})")
+
+
+def _print_precision(rows: Sequence[Any]) -> None:
+    """What was asked for with until.*, and what was reached."""
+    first, short = rows[0], [row for row in rows if not row["reached"]]
+    wanted = [f"{first['wanted_se']:g}"] if first["wanted_se"] else []
+    wanted += [f"{first['wanted_relative_se']:.3g} of the mean"] if first["wanted_relative_se"] else []
+    print(
+        f"{first['metric']} until its standard error is at most {' and '.join(wanted)}: reached by "
+        f"{len(rows) - len(short)} of {len(rows)} (precision.parquet)"
+    )
+    for row in short[:20]:
+        print(
+            f"  not reached: cell {row['cell']} {row['estimator']}: {row['mean']:.4g} ± {row['se']:.2g} after "
+            f"{row['replications']} replications"
+        )
+
+
+def _print_worst(out: Path, cells: Sequence[Any], n: int) -> None:
+    """The worst replications: those without a position first, then by their RMSE; how many medians that is."""
+    from aoabench import tables
+
+    frame = tables.load(out)
+    asked = {(c.id, name) for c in cells for name in c.estimators}
+    frame = frame[[pair in asked for pair in zip(frame["cell"], frame["estimator"])]]
+    median = frame.groupby(["cell", "estimator"])["rmse_3d_m"].transform("median")
+    frame = frame.assign(times=frame["rmse_3d_m"] / median)
+    worst = frame.sort_values("rmse_3d_m", ascending=False, na_position="first", kind="stable").head(n)
+    by_id = {c.id: c for c in cells}
+    print(f"the {len(worst)} worst replications, by RMSE 3-D:")
+    for row in worst.to_dict("records"):
+        cell = by_id[row["cell"]]
+        error = "no position" if row["rmse_3d_m"] != row["rmse_3d_m"] else f"{row['rmse_3d_m']:.4g} m"
+        times = f", {row['times']:.3g} times its estimator's median" if row["times"] == row["times"] else ""
+        print(f"  {row['noise']} {row['estimator']} replication {row['replication']}: {error}{times}, {row['outcome']}")
+        again = tables.replay_command(out, row["cell"], row["estimator"], row["replication"], cell.config, cell.plugins)
+        print(f"    {again}")
 
 
 # --- studies ----------------------------------------------------------------------------------------------------------
@@ -232,22 +283,13 @@ def compare(arguments: Sequence[str]) -> int:
     names = ", ".join(comparing.METRICS)
     parser.add_argument("--metric", default="rmse_3d_m", help=f"one of {names} (default: rmse_3d_m)")
     given = parser.parse_args(list(arguments))
-    try:
-        table = comparing.compare(given.run, given.baseline, given.metric)
-    except RuntimeError as error:
-        return _incomplete(error)
+    table = comparing.compare(given.run, given.baseline, given.metric)
     print("\n".join(comparing.lines(table)))
     try:
         write_frame(Path(given.run) / "compare.parquet", table)
     except OSError as error:  # another one's run, or an archive
         print(f"(not kept as {given.run}/compare.parquet: {error.strerror})", file=sys.stderr)
     return 0
-
-
-def _incomplete(error: RuntimeError) -> int:
-    """Say which parts of a run have vanished."""
-    print(f"aoabench: {error}", file=sys.stderr)
-    return 1
 
 
 def collect(arguments: Sequence[str]) -> int:
@@ -261,19 +303,18 @@ def collect(arguments: Sequence[str]) -> int:
     noted = tables.records(out)
     if not noted:
         raise UserError(f"{out}: no results here; allowed: the runner.out folder of a run")
-    try:
-        with store.locked(out):
-            tables.collect(out)
-    except RuntimeError as error:
-        return _incomplete(error)
+    with store.locked(out, lambda line: print(f"aoabench: {line}", file=sys.stderr)):
+        tables.collect(out)
     print(f"{len(noted)} cells: {out}/{{tidy,replications,summary,cells,timing}}.parquet")
     return 0
 
 
 def replay(arguments: Sequence[str]) -> int:
-    """`aoabench replay`: repeat one replication of a run and write its truth, measurements and estimates."""
+    """`aoabench replay`: repeat one replication of a run and write its trace and a picture of it."""
     from aoabench import replaying
     from aoabench.config import parse_plugins
+
+    os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
 
     parser = _Parser(prog="aoabench replay", description="Repeat one replication of a run with its trace.")
     parser.add_argument("run", help="folder of a run (runner.out)")

@@ -20,7 +20,7 @@ from aoabench import intervals, statistics, tables
 from aoabench.config import did_you_mean
 from aoabench.statistics import Paired
 from aoabench.store import REPLICATIONS
-from aoabench.types import UserError
+from aoabench.types import RunError, UserError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +45,7 @@ def compare(run: str | os.PathLike[str], baseline: str | None = None, metric: st
     independent) and units (how many); needed (units that would show 1 %, with probability 0.8); text (the line).
 
     Where the data pick the baseline, Holm's method counts all pairs of a cell, printed or not. Raises UserError for a
-    run, metric or baseline that is not there, and RuntimeError where parts have vanished that the intervals need.
+    run, metric or baseline that is not there, and RunError where parts have vanished that the intervals need.
     """
     import pandas as pd
 
@@ -125,7 +125,7 @@ def _pairing(
             sums = tables.clusters(run, cell, name, kept)
             found = None if sums is None else sums.influence(metric)
             if found is None:
-                raise RuntimeError(f"{run}: the fixes of {name} in cell {cell} are gone; run the same command again")
+                raise RunError(f"{run}: the fixes of {name} in cell {cell} are gone; run the same command again")
             known[key] = found
         return known[key]
 

@@ -43,6 +43,7 @@ def compose_cells(
             _refuse_hydra(str(override.input_line))
             if override.is_sweep_override() and not sweep:
                 raise UserError(f"{override.input_line}: several values are a sweep; add -m, or brackets for one list")
+        typed = [str(o.key_or_group) for o in parsed]
         plain = [str(o.input_line) for o in parsed if not o.is_sweep_override()]
         jobs = [plain]
         if sweep:
@@ -58,9 +59,9 @@ def compose_cells(
         cells = []
         for job in jobs:
             cfg = compose("config", overrides=job, return_hydra_config=True)
-            cells.append(_cell(cfg, job, allowed, extra, config_dir))
+            cells.append(_cell(cfg, job, typed, allowed, extra, config_dir))
     if len({cell.runner for cell in cells}) > 1:
-        raise UserError("runner and store cannot be swept: the cells of one run share them")
+        raise UserError("runner, store and until cannot be swept: the cells of one run share them")
     return cells
 
 
@@ -90,7 +91,12 @@ def show(
 
 
 def _cell(
-    cfg: Any, job: Sequence[str], plugins: Sequence[str], extra: Mapping[str, Any] | None, config_dir: str | None
+    cfg: Any,
+    job: Sequence[str],
+    typed: Sequence[str],
+    plugins: Sequence[str],
+    extra: Mapping[str, Any] | None,
+    config_dir: str | None,
 ) -> Cell:
     """The cell of one composed job."""
     from omegaconf import OmegaConf
@@ -104,7 +110,8 @@ def _cell(
         raise UserError(f"{key}: {_first_line(error)}" if key else _first_line(error)) from None
     raw: Any = OmegaConf.to_container(node, resolve=False)
     choices = dict(cfg.hydra.runtime.choices)
-    return build(plain, choices, overrides=job, plugins=plugins, changed=_changed(raw, plain, config_dir), extra=extra)
+    changed = _changed(raw, plain, config_dir)
+    return build(plain, choices, overrides=job, typed=typed, plugins=plugins, changed=changed, extra=extra)
 
 
 def _changed(raw: Mapping[str, Any], plain: Mapping[str, Any], config_dir: str | None) -> dict[str, Any]:

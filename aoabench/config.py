@@ -9,19 +9,21 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import importlib
+import math
 import os
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
-from aoabench.store import digest, shipped
-from aoabench.types import BadValue, UserError, check_number
+from aoabench.store import REPLICATIONS, digest, shipped
+from aoabench.types import BadValue, UserError, check_choice, check_number
 
 PLUG_INS = tuple(f"aoabench.{room}" for room in ("scenarios", "noise", "models", "filters", "estimators"))
 GROUPS = ("scenario", "noise", "filter", "estimator", "runner", "experiment")
-_TOP_LEVEL = ("scenario", "noise", "filter", "estimator", "runner", "store", "reps", "seed", "plugins")
+_TOP_LEVEL = ("scenario", "noise", "filter", "estimator", "runner", "store", "until", "reps", "seed", "plugins")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -110,6 +112,38 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
 
 
 @dataclass(frozen=True)
+class Until:
+    """Replications until the mean of `metric` is known to a standard error: `se` in its unit, or relative to the mean.
+
+    Looked at when all of the first min_reps, 1.25 min_reps, 1.25^2 min_reps ... max_reps are there, so that the outcome
+    depends on the replications alone. Both errors have to be reached where both are given.
+    """
+
+    metric: str
+    se: float | None = None
+    relative_se: float | None = None
+    min_reps: int = 200
+    max_reps: int = 20_000
+
+    def __post_init__(self) -> None:
+        check_choice("until.metric", self.metric, [c for c, kind in REPLICATIONS.items() if kind == "double"])
+        check_number("until.se", self.se, above=0, optional=True)
+        check_number("until.relative_se", self.relative_se, above=0, optional=True)
+        check_number("until.min_reps", self.min_reps, least=2, most=100_000_000, integer=True)
+        check_number("until.max_reps", self.max_reps, least=self.min_reps, most=100_000_000, integer=True)
+        if self.se is self.relative_se is None:
+            raise BadValue("until.se", None, "a number > 0, here or for until.relative_se, where until.metric is given")
+
+    @property
+    def counts(self) -> list[int]:
+        """The numbers of replications at which to look, increasing; the last one is max_reps."""
+        found = [self.min_reps]
+        while found[-1] < self.max_reps:
+            found.append(min(math.ceil(1.25 * found[-1]), self.max_reps))
+        return found
+
+
+@dataclass(frozen=True)
 class RunnerOptions:
     """How to run: never part of what is computed."""
 
@@ -117,19 +151,32 @@ class RunnerOptions:
     n_jobs: int = -1
     backend: str = "loky"
     chunk: int | None = None
+    address: str | None = None
     steps: bool = False
+    max_failed: float = 0.5
+    until: Until | None = None
 
     def __post_init__(self) -> None:
         check_number("runner.n_jobs", self.n_jobs, least=-1, integer=True)
         if self.n_jobs == 0:
             raise BadValue("runner.n_jobs", 0, "an integer >= 1, or -1 for all cores")
         check_number("runner.chunk", self.chunk, least=1, integer=True, optional=True)
-        if self.backend not in ("loky", "threading", "sequential"):
-            raise BadValue("runner.backend", self.backend, "one of loky, threading, sequential")
+        check_number("runner.max_failed", self.max_failed, least=0, most=1)
+        check_choice("runner.backend", self.backend, ("loky", "threading", "sequential", "dask"))
+        if self.backend == "dask" and not _is_address(self.address):
+            raise BadValue("runner.address", self.address, "the scheduler's tcp://HOST:PORT (or tls://HOST:PORT)")
+        if self.backend != "dask" and self.address is not None:
+            raise BadValue("runner.address", self.address, "null, unless runner.backend=dask")
         if not isinstance(self.out, str) or not self.out.strip():
             raise BadValue("runner.out", self.out, "the path of a folder")
         if not isinstance(self.steps, bool):
             raise BadValue("store.steps", self.steps, "true or false")
+
+
+def _is_address(value: object) -> bool:
+    return (
+        isinstance(value, str) and re.fullmatch(r"(tcp|tls)://(\[[0-9a-fA-F:]+\]|[\w.-]+):\d{1,5}", value) is not None
+    )
 
 
 @dataclass(frozen=True)
@@ -168,15 +215,16 @@ def build(
     choices: Mapping[str, Any],
     *,
     overrides: Sequence[str] = (),
+    typed: Iterable[str] = (),
     plugins: Sequence[str] = (),
     changed: Mapping[str, Any] | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> Cell:
     """Validate one composed and resolved job and make its objects.
 
-    `choices` names the presets chosen, `overrides` the job's settings, `plugins` the packages that the user's own
-    command line names, `changed` the estimators' parameters that differ from their presets, `extra` further estimators
-    given as objects. Raises UserError for everything that can be known before a run.
+    `choices` names the presets chosen, `overrides` the job's settings, `typed` the keys that the user's own command
+    line sets and `plugins` the packages that it names, `changed` the estimators' parameters that differ from their
+    presets, `extra` further estimators given as objects. Raises UserError for all that can be known before a run.
     """
     for key in plain:
         if key not in _TOP_LEVEL:
@@ -188,6 +236,7 @@ def build(
     check_number("reps", plain.get("reps"), least=1, most=100_000_000, integer=True)
     check_number("seed", plain.get("seed"), least=0, most=2**63 - 1, integer=True)
     runner = _runner(plain)
+    _check_reach(runner, set(typed))
     for group in ("scenario", "noise"):
         if not isinstance(choices.get(group), str) or not plain.get(group):
             raise UserError(
@@ -203,6 +252,9 @@ def build(
         if name in estimators:
             raise UserError(f"estimators[{name!r}]: a preset of this name is selected; choose another name")
         estimators[name] = _as(f"estimators[{name!r}]", estimator, ("__call__",))
+    for name in estimators:
+        if not isinstance(name, str) or re.search(r"^\.|[/\\\x00-\x1f]", name):
+            raise UserError(f"{name!r}: not a name for an estimator; allowed: no slashes, no dot in front")
     if not estimators:
         known = ", ".join((*options("filter"), *options("estimator")))
         raise UserError(f"filter=[], estimator=[]: one must be given, e.g. 'filter=[ekf_vmf]'; allowed: {known}")
@@ -297,8 +349,10 @@ def parse_plugins(overrides: Sequence[str]) -> tuple[str, ...]:
 
 
 def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
-    nodes: dict[str, Any] = {}
-    for path, known in (("runner", ("out", "n_jobs", "backend", "chunk")), ("store", ("steps",))):
+    runner = tuple(f.name for f in dataclasses.fields(RunnerOptions) if f.name not in ("steps", "until"))
+    until = tuple(f.name for f in dataclasses.fields(Until))
+    nodes: dict[str, dict[str, Any]] = {}
+    for path, known in (("runner", runner), ("store", ("steps",)), ("until", until)):
         node = plain.get(path)
         if not isinstance(node, dict):
             raise BadValue(path, node, "keys " + ", ".join(known))
@@ -307,10 +361,31 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
                 raise UserError(
                     f"{path}.{key}: unknown key{did_you_mean(key, known) or '; allowed: ' + ', '.join(known)}"
                 )
-        nodes |= node
-    if "out" not in nodes:
+        nodes[path] = node
+    if "out" not in nodes["runner"]:
         raise UserError("runner.out: missing; allowed: the path of a folder")
-    return RunnerOptions(**nodes)
+    goal = nodes["until"]
+    if goal.get("metric") is None:
+        for key in ("se", "relative_se"):
+            if goal.get(key) is not None:
+                raise UserError(f"until.{key}={goal[key]}: of what? allowed: until.metric=rmse_3d_m with it, say")
+        return RunnerOptions(**nodes["runner"], **nodes["store"])
+    return RunnerOptions(**nodes["runner"], **nodes["store"], until=Until(**goal))
+
+
+def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
+    """Raise UserError where a config, not the command line, leads out of the working folder or to another machine.
+
+    What a scheduler sends back is unpickled: whoever names it could run code here.
+    """
+    out = PurePath(runner.out)
+    if "runner.out" not in typed and (out.is_absolute() or ".." in out.parts or runner.out.startswith("~")):
+        allowed = "a folder below the working folder; elsewhere only by runner.out=... on the command line"
+        raise BadValue("runner.out", runner.out, allowed)
+    own = runner.address in (None, os.environ.get("DASK_SCHEDULER_ADDRESS")) or "runner.address" in typed
+    if not own:
+        allowed = "only runner.address=... on the command line, or the environment's DASK_SCHEDULER_ADDRESS"
+        raise BadValue("runner.address", runner.address, allowed)
 
 
 def import_plugins(plugins: Sequence[str]) -> None:

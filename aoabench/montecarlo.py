@@ -6,6 +6,7 @@ the same replication gives the same bits however the work is cut.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -20,6 +21,7 @@ from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome, Use
 
 Rows = dict[str, np.ndarray]
 
+_TIMED = 8  # replications that a tile is filled with to take its time
 _SPAN = 64  # replications whose estimates are held before they become rows
 
 
@@ -95,13 +97,14 @@ def run_block(
     """Replications start..stop-1 for each estimator: `rows`, one per replication, and `steps` if asked for.
 
     Where all replications share their true positions there are `fixes` too, one row of arrays per replication, because
-    standard errors then cluster by position. Estimators take turns tile by tile: what depends on the replication alone
-    is drawn once for all of them.
+    standard errors then cluster by position. `failures` are there where an estimator raised or gave NaN
+    (see `try_tile`). Estimators take turns tile by tile: what depends on the replication alone is drawn once for all.
     """
     score = {"rows": _rows}
     score |= {"steps": _details} if steps else {}
     score |= {"fixes": _fixes} if getattr(scenario, "same_truth", False) else {}
     scores: dict[str, dict[str, list[Rows]]] = {name: {kind: [] for kind in score} for name in estimators}
+    errors: dict[str, dict[int, str]] = {name: {} for name in estimators}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for size in sorted({tile_of(estimator, scenario) for estimator in estimators.values()}):
@@ -109,15 +112,20 @@ def run_block(
             span = size * max(_SPAN // size, 1)
             for first in range(start - start % size, stop, span):
                 tiles = range(first, min(first + span, stop), size)
-                found = [{name: estimate_tile(draws, estimators[name], tile) for name in names} for tile in tiles]
+                found = [{name: try_tile(draws, estimators[name], tile) for name in names} for tile in tiles]
                 numbers = np.arange(first, tiles[-1] + size)
                 keep = (numbers >= start) & (numbers < stop)
                 for name in names:
                     truth = np.concatenate([tile[name][0] for tile in found])
                     estimates = _one_after_the_other([tile[name][1] for tile in found])
+                    for tile in found:
+                        errors[name] |= tile[name][2]
                     for kind, make in score.items():
                         scores[name][kind].append(make(numbers, truth, estimates, keep))
-    return {name: {kind: _join(found) for kind, found in kinds.items()} for name, kinds in scores.items()}
+    blocks = {name: {kind: _join(found) for kind, found in kinds.items()} for name, kinds in scores.items()}
+    for name, block in blocks.items():
+        block |= _failures(block["rows"], errors[name])
+    return blocks
 
 
 def _one_after_the_other(tiles: list[Estimates]) -> Estimates:
@@ -142,14 +150,95 @@ def _fixes(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: n
     return {k: v[keep] for k, v in found.items()}
 
 
+def _failures(rows: Rows, errors: Mapping[int, str]) -> dict[str, Rows]:
+    """What went wrong in some of the rows' replications; `lost`: there is no position at all."""
+    mine = np.array([int(r) in errors for r in rows["replication"]], dtype=bool)
+    if not mine.any():
+        return {}
+    number = rows["replication"][mine]
+    lost = rows["n_failed"][mine] == rows["n_fixes"][mine]
+    text = np.array([errors[int(r)] for r in number], dtype=object)
+    return {"failures": {"replication": number, "error": text, "lost": lost}}
+
+
 def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates]:
     """Truth (R, T, n) and estimates of the tile that starts at replication `first`."""
+    truth, estimates = _asked(draws, estimator, first)
+    return truth, checked(estimates, truth.shape[:2], type(estimator).__name__)
+
+
+def _asked(draws: Draws, estimator: Any, first: int, at: np.ndarray | None = None) -> tuple[np.ndarray, Estimates]:
+    """Truth (R, T, n) of a tile and what the estimator says, unchecked; `at` (R,): whose data each place gets."""
     size = tile_of(estimator, draws.scenario)
     truth, batch = draws.tile(first, size)
-    streams = Streams(draws.seed, draws.scenario.name, tuple(range(first, first + size)))
-    seen = (truth,) if getattr(estimator, "sees_truth", False) else ()
-    estimates = estimator(batch, draws.scenario, streams, *seen)
-    return truth, checked(estimates, truth.shape[:2], type(estimator).__name__)
+    numbers = range(first, first + size) if at is None else [first + int(i) for i in at]
+    streams = Streams(draws.seed, draws.scenario.name, tuple(numbers))
+    seen = (truth if at is None else truth[at],) if getattr(estimator, "sees_truth", False) else ()
+    return truth, estimator(batch if at is None else _placed(batch, at), draws.scenario, streams, *seen)
+
+
+def _placed(batch: Batch, at: np.ndarray) -> Batch:
+    """The batch with the data of replication `at[i]` of the tile in its place i."""
+
+    def placed(array: np.ndarray | None) -> np.ndarray | None:
+        if array is None or len(array) == 1:
+            return array
+        taken = array[at]
+        taken.setflags(write=False)
+        return taken
+
+    anchors = Anchors(**{f.name: placed(getattr(batch.anchors, f.name)) for f in fields(Anchors)})  # type: ignore[arg-type]
+    each = {f.name: placed(getattr(batch, f.name)) for f in fields(Batch) if f.name not in ("anchors", "prior_cov")}
+    return Batch(anchors=anchors, prior_cov=batch.prior_cov, **each)  # type: ignore[arg-type]
+
+
+def try_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates, dict[int, str]]:
+    """As `estimate_tile`; what raises costs those replications alone that it raises on, and NaN is told, too.
+
+    The third value says by replication's number what was wrong. To find who raises, the tile is repeated with some of
+    its replications, each in its own place, the other places filled by one of them: the tile keeps its size and what it
+    gives to a replication keeps its bits. UserErrors and lack of memory are not the data's fault and stop the run.
+    """
+    size, errors, name = tile_of(estimator, draws.scenario), dict[int, str](), type(estimator).__name__
+    truth, _ = draws.tile(first, size)
+    everyone = np.arange(size)
+    pieces: list[tuple[np.ndarray, Estimates]] = []
+    todo = [everyone]
+    while todo:
+        some = todo.pop()
+        at = None if len(some) == size else np.where(np.isin(everyone, some), everyone, some[0])
+        try:
+            _, raw = _asked(draws, estimator, first, at)
+        except (UserError, MemoryError):
+            raise
+        except Exception as error:  # the estimator's, whatever it is
+            if len(some) > 1:
+                todo += np.array_split(some, 2)
+            else:
+                errors[first + int(some[0])] = " ".join(f"{type(error).__name__}: {error}".split())[:500]
+            continue
+        good = checked(raw, truth.shape[:2], name)
+        nan = (good.outcome != raw.outcome).sum(axis=1)
+        for i in some[nan[some] > 0]:
+            errors[first + int(i)] = f"{nan[i]} of {truth.shape[1]} fixes claim a position and give NaN"
+        pieces.append((some, good))
+    return truth, pieces[0][1] if len(pieces) == 1 and not errors else _assembled(pieces, truth.shape[:2]), errors
+
+
+def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...]) -> Estimates:
+    """One tile (R, T) of some of the rows of each of several; nobody's rows are `failed`."""
+    found: dict[str, np.ndarray | None] = {
+        "position": np.full((*shape, 3), np.nan), "outcome": np.full(shape, Outcome.FAILED, dtype=np.int8),
+    }  # fmt: skip
+    for field in ("covariance", "iterations", "score", "anchors_used"):
+        given = next((value for _, e in pieces if (value := getattr(e, field)) is not None), None)
+        found[field] = None if given is None else np.full(given.shape, np.nan)
+    for some, e in pieces:
+        for field, into in found.items():
+            value = getattr(e, field)
+            if into is not None and value is not None:
+                into[some] = value[some]
+    return Estimates(**found)  # type: ignore[arg-type]
 
 
 def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimates:
@@ -157,6 +246,8 @@ def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimate
 
     A fix that claims a position and gives none (x or y not finite) is `failed`: nothing drops out of the counts.
     """
+    if not isinstance(estimates, Estimates):
+        raise UserError(f"{name}: an estimator must return Estimates, not {type(estimates).__name__}")
     wanted = {"position": (*shape, 3), "covariance": (*shape, 3, 3), "outcome": shape}
     wanted |= dict.fromkeys(("iterations", "score", "anchors_used"), shape)
     for field, expected in wanted.items():
@@ -165,6 +256,8 @@ def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimate
             continue
         if np.shape(value) != expected:
             raise UserError(f"{name}: Estimates.{field} must have the shape {expected}, not {np.shape(value)}")
+    if not np.isin(estimates.outcome, list(Outcome)).all():
+        raise UserError(f"{name}: Estimates.outcome must hold values of Outcome")
     given = (estimates.outcome != Outcome.FAILED) & (estimates.outcome != Outcome.REJECTED)
     lost = given & ~np.isfinite(estimates.position[..., :2]).all(-1)
     return replace(estimates, outcome=np.where(lost, Outcome.FAILED, estimates.outcome).astype(np.int8))
@@ -175,22 +268,31 @@ def time_estimators(
 ) -> dict[str, tuple[float, int, int]]:
     """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS at one thread.
 
-    After a first pass, which warms up, up to `repeats` more on the next tiles, as long as they fit into about a second.
-    The simulation is not counted.
+    After a first pass, which warms up, up to `repeats` more, as long as they fit into about a second. Large tiles are
+    filled by a few replications, since the simulation is not counted; nor is a tile that the estimator raises on, and
+    without any other there is no timing.
     """
     result = {}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for name, estimator in estimators.items():
-            seconds: list[float] = []
-            while len(seconds) <= repeats and sum(seconds) < 1.0:
-                first = len(seconds) * (size := tile_of(estimator, scenario))
-                draws.tile(first, size)
+            size, seconds = tile_of(estimator, scenario), list[float]()
+            few = min(size, _TIMED)
+            for number in (0, *range(repeats)):
+                if sum(seconds) >= 1.0:
+                    break
+                first = number if size == 1 else 0
+                truth, batch = draws.tile(first, few)
+                full = batch if few == size else _placed(batch, np.arange(size) % few)
+                seen = (truth[np.arange(size) % few],) if getattr(estimator, "sees_truth", False) else ()
+                streams = Streams(seed, scenario.name, tuple(range(first, first + size)))
                 begin = time.perf_counter()
-                truth, _ = estimate_tile(draws, estimator, first)
-                seconds.append(time.perf_counter() - begin)
+                with contextlib.suppress(Exception):  # counted as a failure where it is computed
+                    checked(estimator(full, scenario, streams, *seen), (size, truth.shape[1]), name)
+                    seconds.append(time.perf_counter() - begin)
             seconds = seconds[1:] or seconds
-            result[name] = (float(np.median(seconds)), truth.shape[0], truth.shape[1])
+            if seconds:
+                result[name] = (float(np.median(seconds)), size, truth.shape[1])
     return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ import pandas as pd
 from aoabench import metrics, montecarlo, store, tables
 from aoabench.config import construct, did_you_mean, import_plugins
 from aoabench.geometry import Array
-from aoabench.types import Batch, UserError
+from aoabench.report import plots, trace
+from aoabench.streams import Streams
+from aoabench.types import Batch, Estimates, Outcome, UserError
 
 
 def replay(
@@ -23,11 +26,13 @@ def replay(
     plugins: Sequence[str] = (),
     export: str | None = None,
 ) -> str:
-    """Write <run>/replay/<cell>-<estimator>-<replication>.parquet (a row per step) and return a text about it.
+    """Write <run>/replay/<cell>-<estimator>-<replication>.parquet and its picture (.png), and return a text about it.
 
-    `plugins` are the packages of the user's own that the run used; `export`, csv or parquet, writes what was measured
-    too (see `exported`). Raises UserError for a run, cell, estimator or
-    replication that is not there.
+    The trace has a row per step: true_x_m ..., x_m ..., their stated deviations sigma_x_m ... and covariances cov_xx_m2
+    ..., error_3d_m, nees, outcome, iterations; per anchor j what was measured (azimuth_<j>_rad, elevation_<j>_rad,
+    delay_<j>_s, rssi_<j>_dbm); what the estimator's own `trace` tells: innovation_<j>_<component>, ess. `plugins` are
+    the packages of the user's own that the run used; `export`, csv or parquet, writes what was measured too (see
+    `exported`). Raises UserError for a run, cell, estimator or replication that is not there.
     """
     if not (run / "cells").is_dir():
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
@@ -54,29 +59,71 @@ def replay(
     method = construct(presets[estimator], estimator, plugins)
     size = montecarlo.tile_of(method, scenario)
     first = replication - replication % size
-    truth, estimates = montecarlo.estimate_tile(draws, method, first)
+    truth, estimates, errors = montecarlo.try_tile(draws, method, first)
     i = replication - first
-    _, batch = draws.tile(first, size)
-    columns: dict[str, np.ndarray] = {"step": np.arange(truth.shape[1])}
-    for axis, name in enumerate("xyz"):
-        columns[f"true_{name}_m"] = truth[i, :, axis]
-        columns[f"{name}_m"] = estimates.position[i, :, axis]
-        if estimates.covariance is not None:
-            columns[f"sigma_{name}_m"] = np.sqrt(np.maximum(estimates.covariance[i, :, axis, axis], 0.0))
-    for j in range(batch.azimuth.shape[2]):
-        columns[f"azimuth_{j}_rad"] = batch.azimuth[i, :, j]
-        columns[f"elevation_{j}_rad"] = batch.elevation[i, :, j]
-    columns["error_3d_m"] = np.linalg.norm(estimates.position[i] - truth[i, :, :3], axis=-1)
-    path = run / "replay" / f"{cell}-{estimator}-{replication}.parquet"
-    kinds = {name: "int64" if name == "step" else "double" for name in columns}
+    columns = _estimated(truth[i], estimates, i) | _measured(draws.tile(first, size)[1], i)
+    if hasattr(method, "trace") and replication not in errors:
+        _, batch = draws.tile(first, size)
+        streams = Streams(draws.seed, scenario.name, tuple(range(first, first + size)))
+        columns |= {name: np.asarray(value)[i] for name, value in method.trace(batch, scenario, streams).items()}
+    path = run / "replay" / f"{cell}-{_as_file_name(estimator)}-{replication}.parquet"
+    kinds = {name: {"step": "int64", "outcome": "string"}.get(name, "double") for name in columns}
     store.write_table(path, columns, store.schema(kinds, store.provenance(config)))
     rmse = float(metrics.per_replication(estimates, truth[..., :3])["rmse_3d_m"][i])
     rows = pd.read_parquet(run / "replications.parquet" / f"{cell}.parquet")
     stored = rows[(rows["estimator"] == estimator) & (rows["replication"] == replication)]["rmse_3d_m"].iloc[0]
     same = rmse == stored or (np.isnan(rmse) and np.isnan(stored))
     says = "as stored" if same else f"stored is {stored:.17g}: code or libraries have changed since"
-    text = f"cell {cell}, {estimator}, replication {replication}: rmse_3d_m = {rmse:.17g} ({says})\ntrace: {path}"
-    return f"{text}\n{exported(path, export, scenario, batch, truth, i, estimator)}" if export else text
+    title = f"{record['scenario']}, {record['noise']}: {estimator}, replication {replication}, RMSE {rmse:.3g} m"
+    anchors, walls = np.asarray(scenario.known_anchors.position)[0], getattr(scenario, "segments", None)
+    frame = pd.read_parquet(path)
+    picture = plots.save(
+        lambda: trace.figure(frame, title, anchors, walls, scenario.motion is not None), path.with_suffix(".png")
+    )
+    text = f"cell {cell}, {estimator}, replication {replication}: rmse_3d_m = {rmse:.17g} ({says})"
+    wrong = f"\n{errors[replication]}" if replication in errors else ""
+    text = f"{text}{wrong}\ntrace: {path}\npicture: {picture}"
+    if export is None:
+        return text
+    batch = draws.tile(first, size)[1]
+    return f"{text}\n{exported(path, export, scenario, batch, truth, i, estimator)}"
+
+
+def _as_file_name(name: str) -> str:
+    """The name with whatever could lead out of a folder replaced."""
+    return re.sub(r"[^\w.-]|^\.", "_", name)
+
+
+def _estimated(truth: np.ndarray, estimates: Estimates, i: int) -> dict[str, np.ndarray]:
+    """Truth (T, n) and what the estimator said of the tile's i-th replication."""
+    columns: dict[str, np.ndarray] = {"step": np.arange(len(truth))}
+    position, P = estimates.position[i], estimates.covariance
+    for axis, name in enumerate("xyz"):
+        columns[f"true_{name}_m"] = truth[:, axis]
+        columns[f"{name}_m"] = position[:, axis]
+        if P is not None:
+            columns[f"sigma_{name}_m"] = np.sqrt(np.maximum(P[i, :, axis, axis], 0.0))
+    error = position - truth[:, :3]
+    columns["error_3d_m"] = metrics.distance(error)
+    columns["outcome"] = np.array([Outcome(int(o)).name.lower() for o in estimates.outcome[i]], dtype=object)
+    if P is not None:
+        for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+            columns[f"cov_{'xyz'[a]}{'xyz'[b]}_m2"] = P[i, :, a, b]
+        columns["nees"] = metrics.nees(error[None], P[i : i + 1])[0]
+    if estimates.iterations is not None:
+        columns["iterations"] = np.asarray(estimates.iterations)[i]
+    return columns
+
+
+def _measured(batch: Batch, i: int) -> dict[str, np.ndarray]:
+    """What was measured in the tile's i-th replication."""
+    columns = {}
+    for j in range(batch.azimuth.shape[2]):
+        for name, unit in (("azimuth", "rad"), ("elevation", "rad"), ("delay", "s"), ("rssi", "dbm")):
+            value = getattr(batch, name)
+            if value is not None:
+                columns[f"{name}_{j}_{unit}"] = value[i, :, j]
+    return columns
 
 
 def exported(path: Path, kind: str, scenario: Any, batch: Batch, truth: Array, i: int, estimator: str) -> str:

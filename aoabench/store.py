@@ -4,6 +4,7 @@
                                                                provenance as metadata
     <out>/parts/<key>/<start>-<stop>.json                    its seal: file names and checksums; without a matching one
                                                              the part is computed again
+    <out>/parts/<key>/<start>-<stop>.json.damaged            a seal that did not match its files
 
 A part's key covers everything its numbers depend on (scenario, noise, this estimator's config, seed, source code,
 library versions) and nothing else; the tables that people read are made from the parts by `tables`.
@@ -18,10 +19,11 @@ import hashlib
 import importlib.util
 import json
 import os
+import platform
 import sys
 import sysconfig
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -50,7 +52,9 @@ FIXES = {
     "replication": "int64", "error_3d_m": "floats", "error_xy_m": "floats", "iterations": "floats", "score": "floats",
     "anchors_used": "floats", "outcome": "bytes",
 }  # fmt: skip
-KINDS = {"rows": REPLICATIONS, "steps": STEPS, "fixes": FIXES}  # what a part may consist of; rows are always there
+FAILURES = {"replication": "int64", "error": "string", "lost": "bool"}
+# what a part may consist of; rows are always there, failures where an estimator raised or gave NaN
+KINDS = {"rows": REPLICATIONS, "steps": STEPS, "fixes": FIXES, "failures": FAILURES}
 IDENTITY = ("cell", "experiment", "scenario", "noise", "estimator")
 
 
@@ -74,12 +78,12 @@ def shipped(folder: str) -> Path:
     return inside if inside.is_dir() else package.parent / folder
 
 
-def part_key(cell: Any, estimator: str) -> str:
-    """Hash of everything that one estimator's rows in one cell depend on."""
+def part_key(cell: Any, estimator: str, draws: str | None = None) -> str:
+    """Hash of everything that one estimator's rows in one cell depend on; `draws` is the cell's draws_key, if known."""
     obj = cell.estimators[estimator]
     preset = {**(cell.config.get("filter") or {}), **(cell.config.get("estimator") or {})}.get(estimator)
     return digest({
-        "draws": draws_key(cell),
+        "draws": draws or draws_key(cell),
         "estimator": _described(obj) if preset is None else preset,
         "source": source_hash(_modules([obj]), cell.plugins),
     })  # fmt: skip
@@ -93,8 +97,19 @@ def draws_key(cell: Any) -> str:
         "seed": cell.seed,
         "files": [_checksum(path) for o in (cell.scenario, cell.noise) for path in getattr(o, "files", ())],
         "source": source_hash({"aoabench.montecarlo", *_modules([cell.scenario, cell.noise])}, cell.plugins),
-        "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "shapely")},
+        "versions": _versions(),
     })  # fmt: skip
+
+
+def code_key(cell: Any) -> str:
+    """Hash of the source and libraries that a cell's numbers depend on, as they are where this is called."""
+    modules = _modules([cell.scenario, cell.noise, *cell.estimators.values()]) - {"__main__"}
+    source = source_hash({"aoabench.montecarlo", *modules}, cell.plugins)
+    return digest([source, _versions()])
+
+
+def _versions() -> dict[str, str | None]:
+    return {name: version(name) for name in ("numpy", "scipy", "numba", "shapely")}
 
 
 def digest(content: Any) -> str:
@@ -169,9 +184,14 @@ def source_hash(roots: Iterable[str], plugins: Sequence[str] = ()) -> str:
 def _is_ours(name: str, file: Path, ours: Sequence[str]) -> bool:
     if name == "__main__" or any(name == p or name.startswith(p + ".") for p in ours):
         return True
-    libraries = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"))
-    return not (
-        {"site-packages", "dist-packages"} & set(file.parts) or any(file.is_relative_to(p) for p in libraries if p)
+    return not _is_library(file)
+
+
+@functools.cache
+def _is_library(file: Path) -> bool:
+    standard = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"))
+    return bool({"site-packages", "dist-packages"} & set(file.parts)) or any(
+        file.is_relative_to(p) for p in standard if p
     )
 
 
@@ -207,6 +227,7 @@ def _package(module: str, file: Path) -> str:
     return module if file.name == "__init__.py" else module.rpartition(".")[0]
 
 
+@functools.cache
 def version(name: str) -> str | None:
     """Version of an installed library; None if it is not there."""
     try:
@@ -237,16 +258,32 @@ def _cpu_features() -> list[str]:
 
 
 @contextlib.contextmanager
-def locked(out: Path) -> Iterator[None]:
-    """Hold the folder's lock: tables are made by one process at a time (where the system has file locks)."""
+def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
+    """Hold the folder's lock: one run at a time writes into it; `say` gets a line if another one has to end first.
+
+    The system lets go of the lock whatever ends the process. Where file systems have no locks, runs that overlap
+    compute some parts twice and the tables show the cells of the one that ended last.
+    """
     try:
         import fcntl
     except ImportError:
+        (out / ".lock").touch()
         yield
         return
-    with (out / ".lock").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+    with (out / ".lock").open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            say(f"another run{file.readline().rstrip()} is writing into {out}: waiting until it has ended ...")
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except OSError as error:
+            say(f"{out}: no file locks here ({error.strerror}); do not start two runs into it at once")
+        file.truncate(0)
+        file.write(f" (process {os.getpid()} on {platform.node()})\n")
+        file.flush()
         yield
+        file.truncate(0)
 
 
 def write_atomically(path: Path, write: Any) -> None:
@@ -334,21 +371,41 @@ def _checksum(path: Path) -> str:
     return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
 
 
+def _unsealed(seal: Path) -> Part | None:
+    """The part of a seal; None if it is torn or altered or does not fit its files."""
+    try:
+        named = json.loads(seal.read_text(encoding="utf-8"))
+        files = {kind: seal.parent / Path(name).name for kind, (name, _) in named.items()}
+        good = all(_checksum(files[kind]) == checksum for kind, (_, checksum) in named.items())
+        start, stop = (int(n) for n in seal.stem.split("-"))
+    except (OSError, ValueError, AttributeError, KeyError, TypeError):
+        return None
+    return Part(start, stop, files) if good else None
+
+
 def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:
     """The parts whose checksums fit and that have this kind, in order; a torn or altered one is not listed."""
-    found = []
+    parts = (_unsealed(seal) for seal in sorted((out / "parts" / key).glob("*.json")))
+    return [part for part in parts if part is not None and kind in part.files]
+
+
+def has_part(out: Path, key: str, start: int, stop: int, kind: str = "rows") -> bool:
+    """Whether exactly this part is there and intact."""
+    seal = out / "parts" / key / f"{start:09d}-{stop:09d}.json"
+    part = _unsealed(seal) if seal.exists() else None
+    return part is not None and kind in part.files
+
+
+def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
+    """All intact parts, in order, and the seals that do not fit their files, renamed so that they are told of once."""
+    parts, damaged = [], []
     for seal in sorted((out / "parts" / key).glob("*.json")):
-        try:
-            named = json.loads(seal.read_text(encoding="utf-8"))
-            files = {kind: seal.parent / Path(name).name for kind, (name, _) in named.items()}
-            good = all(_checksum(files[kind]) == checksum for kind, (_, checksum) in named.items())
-            start, stop = (int(n) for n in seal.stem.split("-"))
-            part = Part(start, stop, files)
-        except (OSError, ValueError, AttributeError, KeyError, TypeError):
-            continue
-        if good and kind in files:
-            found.append(part)
-    return found
+        part = _unsealed(seal)
+        if part is None:
+            damaged.append(seal.rename(f"{seal}.damaged"))
+        else:
+            parts.append(part)
+    return parts, damaged
 
 
 def missing_ranges(done: Sequence[tuple[int, int]], reps: int) -> list[tuple[int, int]]:

@@ -2,7 +2,7 @@
 
 <out>/cells/<cell>.json                    which cells, estimators and replications the tables show
 <out>/{replications,steps}.parquet/        one file per cell
-<out>/{cells,summary,timing}.parquet
+<out>/{cells,summary,timing,failures,precision}.parquet
 <out>/tidy.parquet                         all replications with their cells' swept parameters: what `load` gives
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -23,6 +24,7 @@ from aoabench.store import (
     IDENTITY,
     KINDS,
     REPLICATIONS,
+    Part,
     flatten,
     intact_parts,
     provenance,
@@ -31,7 +33,7 @@ from aoabench.store import (
     write_frame,
     write_table,
 )
-from aoabench.types import Outcome, UserError
+from aoabench.types import Outcome, RunError, UserError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,8 +45,30 @@ TIMING = {
 }  # fmt: skip
 
 
-def record_cell(out: Path, cell: Any, keys: Mapping[str, str], draws: str, timing: Mapping[str, Any]) -> None:
-    """Note that the tables of `out` shall show this cell with these estimators.
+FAILURES = {
+    "cell": "string", "experiment": "string", "scenario": "string", "noise": "string", "estimator": "string",
+    "replication": "int64", "outcome": "string", "n_failed": "int64", "n_fixes": "int64", "error": "string",
+    "replay": "string",
+}  # fmt: skip
+PRECISION = {
+    "cell": "string", "experiment": "string", "scenario": "string", "noise": "string", "estimator": "string",
+    "metric": "string", "replications": "int64", "mean": "double", "se": "double", "relative_se": "double",
+    "wanted_se": "double", "wanted_relative_se": "double", "reached": "bool",
+}  # fmt: skip
+
+
+def record_cell(
+    out: Path,
+    cell: Any,
+    keys: Mapping[str, str],
+    draws: str,
+    timing: Mapping[str, Any],
+    reps: Mapping[str, int],
+    precision: Mapping[str, Any],
+) -> None:
+    """Note that the tables of `out` shall show this cell with the first `reps` replications of these estimators.
+
+    `precision` is what each reached of cell.runner.until.
 
     Estimators noted earlier stay, if they saw the same draws; those of an older simulation are dropped, because nobody
     may pair them.
@@ -55,16 +79,22 @@ def record_cell(out: Path, cell: Any, keys: Mapping[str, str], draws: str, timin
         before = {"experiment": before.get("experiment")}
     entries = dict(before.get("estimators", {}))
     for name, key in keys.items():
-        entries[name] = {"key": key, "reps": cell.reps, "steps": cell.runner.steps, "timing": timing.get(key)}
+        if not reps[name]:
+            entries.pop(name, None)
+            continue
+        entries[name] = {"key": key, "reps": reps[name], "steps": cell.runner.steps, "timing": timing.get(key)}
+        entries[name] |= {"precision": precision.get(name)}
     config = dict(cell.config)
     for group in ("filter", "estimator"):
         config[group] = {**(before.get("config", {}).get(group) or {}), **(cell.config.get(group) or {})}
     record = {
         "cell": cell.id, "experiment": cell.experiment or before.get("experiment"), "scenario": cell.scenario_name,
         "noise": cell.noise_name, "seed": cell.seed, "draws": draws, "changed": dict(cell.changed),
-        "swept": list(cell.swept), "config": config, "estimators": entries, "provenance": provenance(),
+        "swept": list(cell.swept), "config": config, "estimators": entries, "plugins": list(cell.plugins),
+        "provenance": provenance(),
     }  # fmt: skip
-    _write_record(out, record)
+    if entries:
+        _write_record(out, record)
 
 
 def _write_record(out: Path, record: Mapping[str, Any]) -> None:
@@ -73,10 +103,11 @@ def _write_record(out: Path, record: Mapping[str, Any]) -> None:
 
 
 def _read_record(path: Path) -> dict[str, Any]:
-    """A cell's record; {} if there is none or it is torn."""
-    with contextlib.suppress(OSError, ValueError):
+    """A cell's record; {} if there is none, it is torn, or it names files elsewhere."""
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
         record = json.loads(path.read_text(encoding="utf-8"))
-        if isinstance(record, dict):
+        keys = [entry["key"] for entry in record.get("estimators", {}).values()]
+        if record["cell"] == path.stem and all(key.isalnum() for key in keys):
             return record
     return {}
 
@@ -95,7 +126,7 @@ def known_timing(out: Path) -> dict[str, Any]:
 def collect(out: Path, only: Iterable[str] | None = None) -> None:
     """Make the tables of `out` from its parts; `only` names the cells whose rows have changed (None: all).
 
-    Raises UserError if `out` holds no run, and RuntimeError if a part has vanished, so that no table is silently short.
+    Raises UserError if `out` holds no run, and RunError if a part has vanished, so that no table is silently short.
     """
     import pandas as pd
 
@@ -129,15 +160,17 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
         cells[parameter] = one_kind(cells[parameter])
     write_frame(out / "cells.parquet", cells)
     _write_tidy(out, cells)
-    rows = []
+    rows, failed = [], []
     for record in noted:
         frame = pd.read_parquet(out / "replications.parquet" / f"{record['cell']}.parquet")
         for name, group in frame.groupby("estimator", sort=False):
+            failed += _failures(out, record, str(name), group)
             found = statistics.summarise(group, clusters(out, record["cell"], str(name)))
             rows.append({**{k: record[k] for k in IDENTITY[:4]}, "estimator": name, **found})
     summary = pd.DataFrame(rows)
     summary["experiment"] = summary["experiment"].astype("string")
     write_frame(out / "summary.parquet", summary)
+    _write_rows(out / "failures.parquet", failed, FAILURES)
     write_timing(out)
 
 
@@ -185,14 +218,78 @@ def note_timing(out: Path, timing: Mapping[str, Any]) -> None:
 
 
 def write_timing(out: Path) -> None:
-    """The timing table from the noted cells."""
-    timed = [
-        {**{k: r[k] for k in IDENTITY[:4]}, "estimator": name, **entry["timing"]}
-        for r in records(out)
-        for name, entry in r["estimators"].items()
-        if entry.get("timing")
+    """The timing table, and that of the precision reached, from the noted cells."""
+    noted = records(out)
+    for kind, columns in (("timing", TIMING), ("precision", PRECISION)):
+        found = [
+            {**{k: r[k] for k in IDENTITY[:4]}, "estimator": name, **entry[kind]}
+            for r in noted
+            for name, entry in r["estimators"].items()
+            if entry.get(kind)
+        ]
+        _write_rows(out / f"{kind}.parquet", found, columns)
+
+
+def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
+    write_table(path, {c: [row[c] for row in rows] for c in columns}, schema(columns, provenance()))
+
+
+def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, str]:
+    """What went wrong in the first `reps` replications of some parts, by number; `lost`: where no position was left."""
+    import pyarrow.parquet as pq
+
+    found: dict[int, str] = {}
+    for file in (part.files["failures"] for part in parts if "failures" in part.files):
+        for row in pq.read_table(file, schema=schema(KINDS["failures"])).to_pylist():
+            if row["replication"] < reps and (row["lost"] or not lost):
+                found[row["replication"]] = row["error"]
+    return found
+
+
+def replay_command(
+    out: Path | str, cell: str, estimator: str, replication: int, config: Mapping[str, Any], plugins: Sequence[str] = ()
+) -> str | None:
+    """The command that repeats one replication with its trace; None for an estimator that no preset describes."""
+    if estimator not in {**(config.get("filter") or {}), **(config.get("estimator") or {})}:
+        return None
+    words = [
+        "aoabench",
+        "replay",
+        str(out),
+        "--cell",
+        cell,
+        "--estimator",
+        estimator,
+        "--replication",
+        str(replication),
     ]
-    write_table(out / "timing.parquet", {c: [t[c] for t in timed] for c in TIMING}, schema(TIMING, provenance()))
+    return shlex.join([*words, "--plugins", ",".join(plugins)] if plugins else words)
+
+
+def _failures(out: Path, record: Mapping[str, Any], name: str, rows: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of the failures table: one estimator's replications in which a fix failed."""
+    failed = rows[rows["n_failed"] > 0]
+    if failed.empty:
+        return []
+    entry = record["estimators"][name]
+    said = errors(intact_parts(out, entry["key"]), entry["reps"])
+    columns = [c for c in FAILURES if c not in ("error", "replay")]
+    return [
+        {
+            **{str(k): v for k, v in row.items()},
+            "error": said.get(row["replication"]),
+            "replay": replay_command(
+                out, record["cell"], name, row["replication"], record["config"], record.get("plugins", ())
+            ),
+        }
+        for row in failed[columns].to_dict("records")
+    ]
+
+
+def values(out: Path, key: str, column: str, reps: int) -> np.ndarray:
+    """One column (reps,) of the first `reps` replications of a part key."""
+    parts = _noted_parts(out, {"key": key, "reps": reps}, "rows")
+    return np.concatenate([part[column].to_numpy() for part in parts])
 
 
 def _collect_rows(out: Path, record: Mapping[str, Any], kind: str) -> None:
@@ -237,7 +334,7 @@ def _noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.
         yield part.filter(keep)
     if position < entry["reps"]:
         gap = f"replications from {position} on of part {entry['key']} are not there any more"
-        raise RuntimeError(f"{out}: {gap}; run the same command again")
+        raise RunError(f"{out}: {gap}; run the same command again")
 
 
 @dataclass(frozen=True)

@@ -32,12 +32,19 @@ class UserError(Exception):
     """A mistake that only the user can mend: one clear line, exit status 2."""
 
 
+class RunError(Exception):
+    """What stopped a run and no check of its input could foresee: one clear line, exit status 1."""
+
+
 class BadValue(UserError, ValueError):
     """A parameter out of range: `key`, the `value` given and what is `allowed`."""
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         self.key, self.value, self.allowed = key, value, allowed
         super().__init__(f"{key}={value!r} is not allowed; allowed: {allowed}")
+
+    def __reduce__(self) -> tuple[type, tuple[str, object, str]]:  # so that a worker can raise it
+        return type(self), (self.key, self.value, self.allowed)
 
 
 def check_number(
@@ -241,9 +248,10 @@ class Estimator(Protocol):
     """The one plug that recursive filters and snapshot estimators share.
 
     An optional class attribute `tile` says how many replications it wants at once (always exactly that many). An
-    optional method `prepare(say)` is called once before others work in parallel, to compile something, say, and an
+    optional method `prepare(say)` is called once before others work in parallel, to compile something, say. An
     optional `check(scenario)` raises BadValue or UserError where the two do not fit. One whose `sees_truth` is true is
-    defined by the truth, no method for a device: it is called with the true states (R, T, n) as a fourth argument.
+    defined by the truth, no method for a device: it is called with the true states (R, T, n) as a fourth argument. An
+    optional method `trace(batch, scenario, streams) -> {name: (R, T)}` gives what a replay shows beyond the estimates.
     """
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates: ...

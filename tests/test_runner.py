@@ -265,6 +265,39 @@ def test_source_hash_of_a_filter_covers_what_it_imports_but_no_plot(monkeypatch)
     assert "numpy" in sys.modules
 
 
+def test_changed_source_is_never_reused_and_a_changed_plot_is(tmp_path):
+    """On a copy of the package: what the rows depend on, then what they do not."""
+    import os
+    import shutil
+    import subprocess
+    import sys
+    from pathlib import Path
+
+    package = Path(aoabench.__file__).parent
+    shutil.copytree(package, tmp_path / "aoabench", ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in ("configs", "experiments"):
+        shutil.copytree(store.shipped(folder), tmp_path / folder, dirs_exist_ok=True)
+    words = ["run", "filter=[ekf_vmf]", "filter.ekf_vmf.engine=numpy", "reps=8", "runner.n_jobs=1", "runner.out=out"]
+
+    def said():
+        environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+        done = subprocess.run([sys.executable, "-m", "aoabench.cli", *words], cwd=tmp_path, env=environment,
+                              capture_output=True, text=True, check=True)  # fmt: skip
+        return done.stdout.splitlines()[0]
+
+    def change(file):
+        path = tmp_path / "aoabench" / file
+        path.write_text(f"{path.read_text()}\n_CHANGED = True\n")
+
+    assert "8 replications x estimators computed, 0 reused" in said()
+    for file in ("report/plots.py", "report/trace.py", "runner.py", "filters/particle.py"):
+        change(file)
+    assert "0 replications x estimators computed, 8 reused" in said()
+    for file in ("metrics.py", "filters/kalman.py"):
+        change(file)
+        assert "8 replications x estimators computed, 0 reused" in said(), file
+
+
 @pytest.mark.parametrize(("done", "reps", "gaps"), [
     ([], 10, [(0, 10)]),
     ([(0, 10)], 10, []),
@@ -451,7 +484,7 @@ def test_wrong_shapes_are_named(tmp_path):
 
 
 def test_what_estimators_share_cannot_be_written(tmp_path):
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(aoabench.RunError, match="read-only"):
         aoabench.run("filter=[]", "reps=5", "runner.n_jobs=1", estimators={"a": Careless("writes")}, out=tmp_path)
 
 
@@ -479,18 +512,6 @@ def test_steps_follow_what_was_asked_for_last(tmp_path):
     assert pd.read_parquet(tmp_path / "steps.parquet")["replication"].max() == 9
     run(tmp_path, "reps=10")
     assert not list((tmp_path / "steps.parquet").glob("*.parquet"))
-
-
-def test_replay_repeats_a_replication_exactly(tmp_path, capsys):
-    from aoabench.replaying import replay
-
-    run(tmp_path, "reps=20")
-    for name in ("ekf_vmf", "ukf_ae_adaptive"):
-        assert "as stored" in replay(tmp_path, 13, name)
-    trace = pd.read_parquet(next((tmp_path / "replay").glob("*ekf_vmf-13.parquet")))
-    assert len(trace) == 64
-    with pytest.raises(aoabench.UserError, match="0 to 19"):
-        replay(tmp_path, 20, "ekf_vmf")
 
 
 def test_equal_numbers_have_equal_keys(tmp_path):

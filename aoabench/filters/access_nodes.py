@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from aoabench import kernels
+from aoabench.filters.kernels import innovations
 from aoabench.geometry import LIGHT, Array, wrap
 from aoabench.streams import Streams
 from aoabench.types import Anchors, BadValue, Batch, Estimates, Outcome, check_choice
@@ -82,6 +83,25 @@ class AccessNodeEKF:
         position = np.where(finite[..., None], position, np.nan)
         return Estimates(position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8))
 
+    def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
+        """Innovations (R, T) at the predicted mean, by access node and component; NaN where it was not heard."""
+        F, Q = scenario.motion.matrices(scenario.dt)
+        y, q, heard = self.measured(batch)
+        R, T, B = batch.azimuth.shape
+        sigma = batch.anchors.position_sigma
+        C = np.zeros((B, 3)) if sigma is None else np.square(sigma[0])
+        flags = tuple(name in self.as_printed for name in PRINTED)
+        assert batch.prior_mean is not None
+        assert batch.prior_cov is not None
+        seen: list[Array] = []
+        given = batch.prior_mean, batch.prior_cov, F, Q, y, q, heard, batch.anchors, C, flags
+        self._recursion(*given, seen)
+        found = np.full((R, T, B, 3), np.nan)
+        own = heard >= 0
+        found[:, np.nonzero(own)[0], heard[own]] = np.stack(seen, axis=1)[:, own]
+        names = ("range_m", "azimuth_rad", "elevation_rad")
+        return innovations(found.reshape(R, T, -1), B, names)
+
     def measured(self, batch: Batch) -> tuple[Array, Array, np.ndarray]:
         """What the ANs heard at each step (T, K) measured, -1 filling up: ANs that nobody heard are left out.
 
@@ -120,14 +140,19 @@ class AccessNodeEKF:
         anchors: Anchors,
         C: Array,
         flags: tuple[bool, ...],
+        seen: list[Array] | None = None,
     ) -> tuple[Array, Array]:
-        """The same in NumPy: positions (R, T, 3) and covariances (R, T, 3, 3)."""
+        """The same in NumPy: positions (R, T, 3) and covariances (R, T, 3, 3); innovations (R, K, 3) go to `seen`."""
         x, P = np.asarray(mean), np.broadcast_to(P, (*mean.shape, mean.shape[1]))
         means, covariances = [], []
         with np.errstate(all="ignore"):  # a replication that overflows becomes NaN and is counted as failed
             for k, of in enumerate(heard):
                 x, P = x @ F.T, F @ P @ F.T + Q
                 those = Anchors(anchors.position[:, of], anchors.rotation[:, of])
+                if seen is not None:
+                    v = y[:, k] - expected(x[:, :3], those, flags[0])[0]
+                    v[..., 1] = wrap(v[..., 1])
+                    seen.append(v)
                 A, g = information(x[:, :3], y[:, k], q[:, k], those, C[of], flags)
                 W = np.linalg.solve(np.eye(3) + A @ P[:, :3, :3], np.concatenate([A, g[..., None]], axis=-1))
                 x = x + (P[:, :, :3] @ W[..., 3:])[..., 0]

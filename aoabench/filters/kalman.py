@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from aoabench import kernels
-from aoabench.filters.kernels import kind_of, variances
+from aoabench.filters.kernels import innovations, kind_of, variances
 from aoabench.geometry import Array
 from aoabench.streams import Streams
 from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_choice, check_number
@@ -70,8 +70,18 @@ class _Kalman:
         position = np.where(finite[..., None], position, np.nan)
         return Estimates(position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8))
 
-    def _recursion(self, batch: Batch, P: Array, F: Array, Q: Array, Y: Array, quality: Array) -> tuple[Array, Array]:
-        """The same in NumPy, for any measurement model."""
+    def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
+        """Innovations (R, T) at the predicted mean, by component."""
+        seen: list[Array] = []
+        F, Q = scenario.motion.matrices(scenario.dt)
+        self._recursion(batch, np.asarray(batch.prior_cov), F, Q, *self.measurement.observe(batch), seen)
+        return innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
+
+    def _recursion(
+        self, batch: Batch, P: Array, F: Array, Q: Array, Y: Array, quality: Array, seen: list[Array] | None = None
+    ) -> tuple[Array, Array]:
+        """The same in NumPy, for any measurement model; innovations (R, m) are appended to `seen`."""
+        h = self.measurement
         x = np.asarray(batch.prior_mean)
         P = np.broadcast_to(P, (*x.shape, x.shape[-1]))
         means, covariances = [], []
@@ -79,6 +89,8 @@ class _Kalman:
             for k in range(Y.shape[1]):
                 x = x @ F.T
                 P = F @ P @ F.T + Q
+                if seen is not None:
+                    seen.append(h.residual(Y[:, k], h.predict(x, batch.anchors)))
                 x, P = self.update(x, P, Y[:, k], quality[:, k], batch.anchors)
                 means.append(x[:, :3])
                 covariances.append(P[:, :3, :3])

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from aoabench.geometry import Array
+
 KINDS = ("unit_vector", "azel", "azel_adaptive")  # as numbered in the kernels' files
 
 
@@ -22,3 +24,14 @@ def kind_of(measurement: Any, engine: str = "auto") -> int | None:
 def variances(measurement: Any) -> np.ndarray:
     """Variances (181, 2) rad^2 of azimuth and elevation at -90, -89 ... 90 degrees, for a model that has them."""
     return measurement.variances() if hasattr(measurement, "variances") else np.ones((181, 2))
+
+
+def innovations(values: Array, anchors: int, names: tuple[str, ...] = ()) -> dict[str, Array]:
+    """Columns (R, T) of a trace from innovations (R, T, B d) in anchor order: measured less expected, or NaN.
+
+    `names` of the d components; without them two are azimuth and elevation, three those of a unit vector.
+    """
+    each = values.reshape(*values.shape[:2], anchors, -1)
+    names = names or {2: ("azimuth_rad", "elevation_rad"), 3: ("x", "y", "z")}.get(each.shape[-1], ())
+    names = names or tuple(str(c) for c in range(each.shape[-1]))
+    return {f"innovation_{j}_{name}": each[..., j, c] for j in range(anchors) for c, name in enumerate(names)}

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from aoabench import kernels
-from aoabench.filters.kernels import KINDS, kind_of, variances
+from aoabench.filters.kernels import KINDS, innovations, kind_of, variances
 from aoabench.geometry import Array
 from aoabench.streams import PARTICLES, Streams
 from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_number
@@ -67,25 +67,40 @@ class ParticleFilter:
         """
         if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
             raise BadValue("filter", type(self).__name__, "a scenario with a motion model and a prior")
+        found = self._each(batch, scenario, streams)
+        position, outcome = np.stack([one[0] for one in found]), np.stack([one[2] for one in found])
+        outcome[~np.isfinite(position).all(-1)] = Outcome.FAILED
+        return Estimates(position, np.stack([one[1] for one in found]), None, outcome)
+
+    def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
+        """Effective numbers of particles `ess` (R, T) and innovations (R, T) at the predicted mean, by component."""
+        found = self._each(batch, scenario, streams)
+        columns = {"ess": np.stack([one[3] for one in found])}
+        F, _ = scenario.motion.matrices(scenario.dt)
+        if len(F) == 3:  # elsewhere the mean of the whole state is not kept
+            h, means = self.measurement, np.stack([one[0] for one in found])
+            Y, _ = h.observe(batch)
+            x = np.concatenate([np.asarray(batch.prior_mean)[:, None], means[:, :-1]], axis=1) @ F.T
+            seen = [h.residual(Y[:, k], h.predict(x[:, k], batch.anchors)) for k in range(Y.shape[1])]
+            columns |= innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
+        return columns
+
+    def _each(self, batch: Batch, scenario: Any, streams: Streams) -> list[tuple[Array, Array, np.ndarray, Array]]:
+        """Per replication means (T, 3), covariances (T, 3, 3), outcomes (T,), effective numbers (T,)."""
         Y, quality = self.measurement.observe(batch)
         F, Q = scenario.motion.matrices(scenario.dt)
         kind = kind_of(self.measurement, self.engine) if len(F) == 3 else None
         compiled = None if kind is None else kernels.load(KERNELS)
-        means, covariances, outcomes = [], [], []
+        found = []
         for i in range(len(Y)):
             given = batch, i, F, Q, Y[i], quality[i]
             if self.engine == "double":
-                found = self._along_the_kernel(*given, streams)
+                found.append(self._along_the_kernel(*given, streams))
             elif kind is None or compiled is None:
-                found = self._replication(*given, streams.estimator(i, PARTICLES))
+                found.append(self._replication(*given, streams.estimator(i, PARTICLES)))
             else:
-                found = self._compiled(compiled, kind, *given, streams)
-            means.append(found[0])
-            covariances.append(found[1])
-            outcomes.append(found[2])
-        position, outcome = np.stack(means), np.stack(outcomes)
-        outcome[~np.isfinite(position).all(-1)] = Outcome.FAILED
-        return Estimates(position, np.stack(covariances), None, outcome)
+                found.append(self._compiled(compiled, kind, *given, streams))
+        return found
 
     def _replication(
         self,
@@ -97,8 +112,8 @@ class ParticleFilter:
         quality: Array,
         rng: Any,
         chosen: np.ndarray | None = None,
-    ) -> tuple[Array, Array, np.ndarray]:
-        """One replication in NumPy: means (T, 3), covariances (T, 3, 3), outcomes (T,) from Y, quality (T, m).
+    ) -> tuple[Array, Array, np.ndarray, Array]:
+        """One replication in NumPy: what `_each` says of it, from Y, quality (T, m).
 
         `chosen` (T, 2, N): parents that somebody else chose by weights q, -1 where nobody did; children keep w / q.
         """
@@ -106,6 +121,7 @@ class ParticleFilter:
         assert batch.prior_cov is not None
         (T, _), N, n = Y.shape, self.particles, len(F)
         position, covariance, outcome = np.empty((T, 3)), np.empty((T, 3, 3)), np.full(T, Outcome.OK, dtype=np.int8)
+        effective = np.empty(T)
         root_Q, root_P = np.linalg.cholesky(Q), np.linalg.cholesky(batch.prior_cov)
         anchors = batch.anchors.of(i)
         x = batch.prior_mean[i] + rng.standard_normal((N, n)) @ root_P.T
@@ -118,16 +134,17 @@ class ParticleFilter:
             if not informed:
                 outcome[k] = Outcome.DIVERGED
             position[k] = w @ x[:, :3]
+            effective[k] = 1.0 / (w @ w)
             d = x[:, :3] - position[k]
             covariance[k] = d.T @ (w[:, None] * d)
             if chosen is not None:
                 if chosen[k, 0, 0] >= 0:
                     parents = chosen[k, 0].astype(np.intp)
                     x, log_w = x[parents], np.log(w[parents] / chosen[k, 1, parents])
-            elif 1.0 / (w @ w) < self.resample_below * N:
+            elif effective[k] < self.resample_below * N:
                 x = x[systematic(w, turn)]
                 log_w = np.full(N, -np.log(N))
-        return position, covariance, outcome
+        return position, covariance, outcome, effective
 
     def _compiled(
         self,
@@ -141,7 +158,7 @@ class ParticleFilter:
         quality: Array,
         streams: Streams,
         chosen: np.ndarray | None = None,
-    ) -> tuple[Array, Array, np.ndarray]:
+    ) -> tuple[Array, Array, np.ndarray, Array]:
         """The same by the kernel, relative to the prior's mean; `chosen` as above, to be filled in."""
         assert batch.prior_mean is not None
         assert batch.prior_cov is not None
@@ -165,11 +182,12 @@ class ParticleFilter:
             out,
             np.empty((0, 2, self.particles), dtype=np.float32) if chosen is None else chosen,
         )
-        return out[:, :3] + origin, out[:, 3:12].reshape(T, 3, 3), np.full(T, Outcome.OK, dtype=np.int8)
+        outcome = np.full(T, Outcome.OK, dtype=np.int8)
+        return out[:, :3] + origin, out[:, 3:12].reshape(T, 3, 3), outcome, out[:, 12]
 
     def _along_the_kernel(
         self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, streams: Streams
-    ) -> tuple[Array, Array, np.ndarray]:
+    ) -> tuple[Array, Array, np.ndarray, Array]:
         """The replication in double precision with the kernel's draws and the parents that the kernel chose.
 
         Resampled particles carry the ratio of the weights in double and in single precision, so this is a particle

@@ -466,7 +466,9 @@ def test_fusion_without_the_vote_is_weighted_least_squares(engine, n, rng):
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 13])
 @pytest.mark.parametrize("intersection", INTERSECTIONS)
-@pytest.mark.parametrize("more", [{}, {"ties": "first", "centre": "estimate"}, {"r_sigma": 0.3, "minimum_axis_m": 0.01}, {"r_sigma": 2.5}])
+@pytest.mark.parametrize(
+    "more", [{}, {"ties": "first", "centre": "estimate"}, {"r_sigma": 0.3, "minimum_axis_m": 0.01}, {"r_sigma": 2.5}]
+)
 def test_the_kernel_equals_the_reference(n, intersection, more, rng):
     world, batch = noisy(rng, n, 300 if n < 8 else 60, 0.2)
     batch.azimuth[0, rng.random(batch.azimuth[0].shape) < 0.1] = np.nan

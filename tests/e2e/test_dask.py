@@ -1,0 +1,125 @@
+"""A Dask cluster of separate processes on loopback: the same bits as one process, whatever becomes of a worker."""
+
+import re
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pandas as pd
+import pytest
+
+import aoabench
+from aoabench import runner, store
+from aoabench.cli import main
+from aoabench.composing import compose_cells
+
+pytest.importorskip("distributed", reason="Dask is not installed: pip install 'aoabench[dask]'")
+
+WORDS = ["noise=vmf", "filter=[pf_vmf,ekf_vmf]", "filter.pf_vmf.particles=2000", "reps=160", "runner.chunk=2"]
+
+
+def dask(name, *words, cwd):
+    with (cwd / f"{name}.log").open("w") as log:
+        return subprocess.Popen([sys.executable, "-m", "dask", *words], cwd=cwd, stdout=log, stderr=log)
+
+
+@contextmanager
+def cluster(folder):
+    """A scheduler and two workers with a thread each, in a folder that is not the run's; address and workers."""
+    started = [dask("scheduler", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", cwd=folder)]
+    try:
+        deadline = time.monotonic() + 30
+        while not (found := re.search(r"Scheduler at:\s+(tcp://\S+)", (folder / "scheduler.log").read_text())):
+            assert time.monotonic() < deadline, "no scheduler"
+            time.sleep(0.05)
+        options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")
+        started += [dask(f"worker{i}", "worker", found[1], *options, cwd=folder) for i in range(2)]
+        yield found[1], started[1:]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+def test_rows_are_those_of_loky_though_a_worker_is_killed_half_way(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "elsewhere").mkdir()
+    runner.run(compose_cells([*WORDS, "runner.n_jobs=2", "runner.out=loky"]), progress=False)
+    with cluster(tmp_path / "elsewhere") as (address, workers):
+        words = ["runner=dask", f"runner.address={address}", "runner.out=dask"]
+        command = subprocess.Popen([sys.executable, "-m", "aoabench.cli", "run", *WORDS, *words],
+                                   stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # fmt: skip
+        deadline = time.monotonic() + 60
+        while len(list(tmp_path.glob("dask/parts/*/*.json"))) < 30 and command.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert command.poll() is None, command.stderr.read()
+        workers[0].kill()
+        _, said = command.communicate(timeout=60)
+        assert command.returncode == 0, said
+        for name in ("replications", "summary", "failures"):
+            a, b = (pd.read_parquet(f"{out}/{name}.parquet") for out in ("dask", "loky"))
+            pd.testing.assert_frame_equal(a, b, check_exact=True)
+        for folder in (tmp_path / "dask" / "parts").iterdir():
+            parts = store.intact_parts(tmp_path / "dask", folder.name)
+            assert sum(part.stop - part.start for part in parts) == 160
+        # the same folder goes on with another backend, and a plug-in beside the run is found by the workers
+        more = runner.run(compose_cells([*WORDS, "reps=170", "runner.out=dask", "runner.n_jobs=1"]), progress=False)
+        assert more.computed == 20
+        (tmp_path / "my_origin.py").write_text(
+            "from dataclasses import dataclass\nimport numpy as np\nfrom aoabench import Estimates\n\n\n@dataclass(frozen=True)\nclass Origin:\n"
+            "    def __call__(self, batch, scenario, streams):\n        shape = batch.azimuth.shape[:2]\n"
+            "        return Estimates(np.zeros((*shape, 3)), None, None, np.zeros(shape, dtype=np.int8))\n"
+        )
+        (tmp_path / "conf" / "estimator").mkdir(parents=True)
+        (tmp_path / "conf" / "estimator" / "origin.yaml").write_text("origin: {_target_: my_origin.Origin}\n")
+        words += ["estimator=[origin]", "reps=300", "runner.chunk=128"]
+        frame = aoabench.run(*words, out="plugin", config_dir="conf", plugins=["my_origin"])
+        assert len(frame) == 300
+        # a worker with other code refuses to compute under this run's keys
+        monkeypatch.setattr(store, "_versions", lambda: {"numpy": "0.1"})
+        with pytest.raises(aoabench.RunError, match="has another version of the code"):
+            runner.run(compose_cells([*WORDS, "seed=2", *words[:2], "runner.out=dask"]), progress=False)
+
+
+@pytest.mark.parametrize("preset", ["dask", "slurm"])
+def test_the_presets_compose(preset, monkeypatch):
+    given = compose_cells(["filter=[ekf_vmf]", f"runner={preset}", "runner.address=tcp://node-1.cluster:8786"])[
+        0
+    ].runner
+    assert (given.backend, given.address) == ("dask", "tcp://node-1.cluster:8786")
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", "tls://10.0.0.1:8786")
+    assert compose_cells(["filter=[ekf_vmf]", f"runner={preset}"])[0].runner.address == "tls://10.0.0.1:8786"
+
+
+def test_the_cluster_is_not_part_of_any_key():
+    local, far = (
+        compose_cells(["filter=[ekf_vmf]", *more])[0]
+        for more in (
+            [],
+            ["runner=slurm", "runner.address=tcp://a:1", "runner.max_failed=0", "until.metric=nees", "until.se=1"],
+        )
+    )
+    assert local.id == far.id
+    assert store.part_key(local, "ekf_vmf") == store.part_key(far, "ekf_vmf")
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["runner.backend=dask"], ["runner.address", "tcp://HOST:PORT"]),
+    (["runner.backend=dask", "runner.address=here"], ["runner.address", "here", "tcp://HOST:PORT"]),
+    (["runner.backend=dask", "runner.address=inproc://x"], ["runner.address", "tcp://HOST:PORT"]),
+    (["runner.address=tcp://127.0.0.1:1"], ["runner.address", "runner.backend=dask"]),
+    (["runner=dask", "runner.address=tcp://127.0.0.1:1"], ["runner.address='tcp://127.0.0.1:1'", "no scheduler answers"]),
+])  # fmt: skip
+def test_a_bad_address_is_the_users_mistake(words, expected, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(runner, "_CONNECT_S", 1)
+    with pytest.raises(SystemExit) as stop:
+        main(["run", "filter=[ekf_vmf]", "reps=3", *words])
+    said = capsys.readouterr().err
+    assert stop.value.code == 2, said
+    assert "Traceback" not in said
+    for word in expected:
+        assert word in said

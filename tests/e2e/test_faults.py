@@ -1,0 +1,367 @@
+"""What the machine does to a run: killed processes, full and read-only disks, lack of memory, altered parts, two runs.
+
+Each time the same command goes on, nothing that was finished is computed twice, and the tables are those of a run that
+nobody disturbed, bit for bit.
+"""
+
+import errno
+import multiprocessing
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+import psutil
+import pytest
+
+from aoabench import RunError, runner, store
+from aoabench.cli import main
+from aoabench.composing import compose_cells
+
+WORDS = ["noise=vmf", "filter=[pf_vmf,pf_ae_nominal]", "filter.pf_vmf.particles=1000", "filter.pf_ae_nominal.particles=1000",
+         "reps=400", "runner.chunk=4"]  # fmt: skip
+PARTS = 200  # of two filters
+KILLS = 20
+PATIENCE_S = 30  # for a machine under heavy load
+
+
+def tables(out):
+    """All tables of a run that do not hold times."""
+    frames = {name: pd.read_parquet(out / f"{name}.parquet") for name in ("replications", "summary", "failures")}
+    frames["replications"] = frames["replications"].sort_values(["estimator", "replication"], ignore_index=True)
+    return frames
+
+
+def assert_same(out, reference):
+    for name, frame in tables(out).items():
+        pd.testing.assert_frame_equal(frame, reference[name], check_exact=True, obj=name)
+
+
+def seals(out):
+    """The finished parts and when each was finished."""
+    return {seal: seal.stat().st_mtime_ns for seal in out.glob("parts/*/*.json")}
+
+
+def assert_kept(before, out):
+    now = seals(out)
+    assert before.items() <= now.items(), "a finished part was computed again, or lost"
+
+
+def assert_each_once(out):
+    for folder in (out / "parts").iterdir():
+        parts = store.intact_parts(out, folder.name)
+        assert sum(part.stop - part.start for part in parts) == 400, "overlapping parts"
+
+
+def _command(words, said):
+    """`aoabench run` in a process and process group of its own, which says things to a file."""
+    os.setsid()
+    for stream, target in ((1, os.devnull), (2, said)):
+        os.dup2(os.open(target, os.O_WRONLY | os.O_CREAT), stream)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ["PYTHONWARNINGS"] = "ignore"  # of what the short end below leaves to the resource tracker
+    try:
+        main(["run", *words])
+    except SystemExit as end:
+        sys.stderr.flush()
+        os._exit(
+            end.code
+        )  # past multiprocessing's own end, which waits for threads that only an interpreter's end ends
+
+
+# each command is forked from one process that has imported everything: a second less for each
+_forks = multiprocessing.get_context("forkserver")
+_forks.set_forkserver_preload(["aoabench.cli", "aoabench.composing", "aoabench.runner", "aoabench.filters.particle_kernels",
+                               "hydra", "pandas", "pyarrow.parquet", "joblib", "rich.progress", "tests.e2e.test_faults"])  # fmt: skip
+
+
+class Command:
+    """A running `aoabench run`."""
+
+    def __init__(self, *words):
+        self.said = Path(tempfile.mkstemp()[1])
+        self.process = _forks.Process(target=_command, args=(words, str(self.said)))
+        self.process.start()
+        self.pid = self.process.pid
+
+    def running(self):
+        return self.process.is_alive()
+
+    def finished(self):
+        """Exit status and what was said, which is never a traceback."""
+        self.process.join(PATIENCE_S)
+        said = self.said.read_text()
+        self.said.unlink()
+        assert "Traceback" not in said, said
+        return self.process.exitcode, said
+
+    def workers(self):
+        with suppress(psutil.NoSuchProcess):
+            children = psutil.Process(self.pid).children(recursive=True)
+            return [child for child in children if "popen_loky" in " ".join(child.cmdline())]
+        return []
+
+
+def wait_for(condition, command=None):
+    deadline = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "took too long"
+        if command is not None and not command.running():
+            return None
+        time.sleep(0.005)
+    return found
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """The undisturbed run, in one process."""
+    out = tmp_path_factory.mktemp("undisturbed")
+    runner.run(compose_cells([*WORDS, "runner.chunk=50", "runner.n_jobs=1", f"runner.out={out}"]), progress=False)
+    return tables(out)
+
+
+@pytest.mark.slow
+def test_killed_at_twenty_random_moments(reference, tmp_path):
+    """Fifteen times the parent, five times a worker, then Ctrl-C; a quarter of them while the run starts."""
+    moments = random.Random(20180710)
+    words = [*WORDS, f"runner.out={tmp_path}"]
+
+    def enough(some):
+        return len(seals(tmp_path)) >= some
+
+    for number in range(KILLS + 1):
+        before = seals(tmp_path)
+        worker_dies = number % 4 == 1
+        jobs = 2 if worker_dies or number in (0, KILLS) else 1
+        command = Command(*words, f"runner.n_jobs={jobs}")
+        if number % 4 == 3:
+            time.sleep(moments.uniform(0, 0.5))
+        else:
+            some = len(before) + moments.randint(1, 6)
+            wait_for(partial(enough, some), command)
+            time.sleep(moments.uniform(0, 0.05))
+        assert command.running(), "there is more to do than is done in all runs that are killed"
+        if worker_dies:
+            moments.choice(wait_for(command.workers, command)).kill()
+            status, said = command.finished()
+            assert status == 1
+            assert "a worker process was killed" in said
+            assert len(said.strip().splitlines()) == 1
+        elif number < KILLS:
+            orphans = command.workers()
+            os.kill(command.pid, signal.SIGKILL)
+            assert command.finished()[0] == -signal.SIGKILL
+            psutil.wait_procs(orphans, timeout=10)
+            assert not [o for o in orphans if o.is_running() and o.status() != psutil.STATUS_ZOMBIE]
+        else:
+            os.killpg(command.pid, signal.SIGINT)
+            status, said = command.finished()
+            assert status == 130, said
+        assert_kept(before, tmp_path)
+    before = seals(tmp_path)
+    assert len(before) < PARTS, "there was something left to do"
+    assert Command(*words).finished()[0] == 0
+    assert_kept(before, tmp_path)
+    assert_each_once(tmp_path)
+    assert_same(tmp_path, reference)
+
+
+@contextmanager
+def disk(path, kilobytes):
+    """A disk of its own of that size at `path`."""
+    path.mkdir()
+    try:
+        done = subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", path], capture_output=True, text=True
+        )
+    except OSError as error:
+        pytest.skip(f"no disk of its own can be mounted here: {error}")
+    if done.returncode:
+        pytest.skip(f"no disk of its own can be mounted here: {done.stderr.strip()}")
+    try:
+        yield path
+    finally:
+        subprocess.run(["umount", "--lazy", path], check=True)
+
+
+def remount(path, options):
+    subprocess.run(["mount", "-o", f"remount,{options}", path], check=True)
+
+
+def test_a_full_disk(reference, tmp_path):
+    with disk(tmp_path / "disk", 800) as out:
+        words = [*WORDS, f"runner.out={out}"]
+        status, said = Command(*words, "runner.n_jobs=2").finished()
+        assert status == 1
+        assert "cannot be written any more: No space left on device; what was finished is kept" in said
+        assert len(said.strip().splitlines()) == 1
+        before = seals(out)
+        assert 0 < len(before) < PARTS
+        remount(out, "size=30m")
+        assert Command(*words, "runner.n_jobs=1").finished()[0] == 0
+        assert_kept(before, out)
+        assert_same(out, reference)
+
+
+def test_a_read_only_disk(tmp_path):
+    with disk(tmp_path / "disk", 30_000) as out:
+        remount(out, "ro")
+        status, said = Command(*WORDS, "runner.n_jobs=1", f"runner.out={out}").finished()
+        assert status == 2
+        assert f"runner.out='{out}' cannot be written: Read-only file system" in said
+        assert len(said.strip().splitlines()) == 1
+
+
+def test_a_disk_that_becomes_read_only(reference, tmp_path, monkeypatch):
+    """As a failing disk does it; by hand it cannot be done while the lock is open."""
+    cells = compose_cells([*WORDS, "runner.n_jobs=1", f"runner.out={tmp_path}"])
+    replace, calls = os.replace, []
+
+    def fails_later(*args):
+        calls.append(args)
+        if len(calls) > 30:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        return replace(*args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", fails_later)
+        with pytest.raises(
+            RunError, match="cannot be written any more: Read-only file system; what was finished is kept"
+        ):
+            runner.run(cells, progress=False)
+    before = seals(tmp_path)
+    assert 0 < len(before) < PARTS
+    runner.run(cells, progress=False)
+    assert_kept(before, tmp_path)
+    assert_each_once(tmp_path)
+    assert_same(tmp_path, reference)
+
+
+def test_a_folder_without_permission(tmp_path):
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    tmp_path.chmod(0o555)
+    status, said = Command(*WORDS, f"runner.out={tmp_path}").finished()
+    assert status == 2
+    assert "Permission denied" in said
+
+
+HUNGRY = '''
+import os
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+import numpy as np
+from aoabench import Estimates
+
+
+@dataclass(frozen=True)
+class Hungry:
+    """Needs more memory than there is while a file says so, and may be killed for it."""
+
+    def __call__(self, batch, scenario, streams):
+        if Path("hungry").exists() and 150 in streams.replications:
+            np.ones(2**58)
+        if Path("killed").exists() and 150 in streams.replications:
+            os.kill(os.getpid(), signal.SIGKILL)  # as Linux does
+        position = batch.azimuth[..., :3].copy()
+        return Estimates(position, None, None, np.zeros(position.shape[:2], dtype=np.int8))
+'''
+
+
+def test_a_worker_without_memory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_hungry.py").write_text(HUNGRY)
+    (tmp_path / "conf" / "estimator").mkdir(parents=True)
+    (tmp_path / "conf" / "estimator" / "hungry.yaml").write_text("hungry: {_target_: my_hungry.Hungry}\n")
+    words = ["estimator=[hungry]", "filter=[ekf_vmf]", "reps=400", "runner.chunk=128",
+             "--config-dir", "conf", "plugins=[my_hungry]"]  # fmt: skip
+    assert Command(*words, "runner.n_jobs=1", "runner.out=undisturbed").finished()[0] == 0
+    for how, match in (("hungry", "out of memory (Unable to allocate"), ("killed", "a worker process was killed")):
+        (tmp_path / how).touch()
+        status, said = Command(*words, "runner.n_jobs=2", "runner.out=out").finished()
+        assert status == 1
+        assert match in said
+        assert "what was finished is kept" in said
+        assert len(said.strip().splitlines()) == 1
+        (tmp_path / how).unlink()
+    before = seals(tmp_path / "out")
+    assert Command(*words, "runner.n_jobs=1", "runner.out=out").finished()[0] == 0
+    assert_kept(before, tmp_path / "out")
+    assert_same(tmp_path / "out", tables(tmp_path / "undisturbed"))
+
+
+# --- altered parts ----------------------------------------------------------------------------------------------------
+
+
+def small(out, reps=40):
+    words = [
+        "noise=vmf",
+        "filter=[pf_vmf]",
+        "filter.pf_vmf.particles=50",
+        f"reps={reps}",
+        "runner.chunk=10",
+        "runner.n_jobs=1",
+    ]
+    return runner.run(compose_cells([*words, f"runner.out={out}"]), progress=False)
+
+
+@pytest.mark.parametrize(("file", "how"), [
+    *[("parquet", how) for how in ("first byte", "middle byte", "last byte", "truncated", "deleted")],
+    *[("json", how) for how in ("middle byte", "truncated", "emptied", "deleted")],
+])  # fmt: skip
+def test_an_altered_part_is_found_computed_again_and_reported(file, how, tmp_path, capsys):
+    small(tmp_path)
+    before = tables(tmp_path)
+    victim = sorted((tmp_path / "parts").glob(f"*/000000010-*.{file}"))[0]
+    data = bytearray(victim.read_bytes())
+    place = {"first byte": 0, "middle byte": len(data) // 2, "last byte": -1}.get(how)
+    if place is not None:
+        data[place] ^= 1
+    victim.write_bytes(data[:-1] if how == "truncated" else b"" if how == "emptied" else data)
+    if how == "deleted":
+        victim.unlink()
+    untouched = {seal: t for seal, t in seals(tmp_path).items() if "000000010-" not in seal.name}
+    capsys.readouterr()
+    done = small(tmp_path)
+    assert (done.computed, done.reused) == (10, 30)
+    said = capsys.readouterr().err
+    if (file, how) == ("json", "deleted"):  # then nothing says that it was ever finished
+        assert not done.damaged
+    else:
+        assert len(done.damaged) == 1
+        assert "000000010-000000020: altered or torn; computed again" in said
+    assert_kept(untouched, tmp_path)
+    assert_same(tmp_path, before)
+    done = small(tmp_path)
+    assert (done.computed, done.damaged) == (0, ())
+    assert "altered" not in capsys.readouterr().err
+
+
+# --- two runs at once -------------------------------------------------------------------------------------------------
+
+
+def test_a_second_run_says_that_it_waits_and_computes_nothing_twice(reference, tmp_path):
+    """The lock goes with its holder, however that ends."""
+    words = [*WORDS, "runner.n_jobs=1", f"runner.out={tmp_path}"]
+    first = Command(*words)
+    wait_for(lambda: len(seals(tmp_path)) > 3, first)
+    second = Command(*words)
+    line = wait_for(second.said.read_text, second)
+    assert line.startswith(f"aoabench: another run (process {first.pid} on ")
+    assert f"is writing into {tmp_path}: waiting until it has ended" in line
+    os.kill(first.pid, signal.SIGKILL)
+    first.finished()
+    before = seals(tmp_path)
+    assert 3 < len(before) < PARTS
+    assert second.finished()[0] == 0
+    assert_kept(before, tmp_path)
+    assert_each_once(tmp_path)
+    assert_same(tmp_path, reference)
