@@ -36,9 +36,15 @@ def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array
     return s[..., :2] + np.where(np.isfinite(flat), reach, np.nan)[..., None] * u[..., :2]
 
 
+def known_height(scenario: Any) -> float | None:
+    """The height m at which the scenario says that its target is; None where it says none, or no single one."""
+    height = getattr(scenario, "height_m", None)
+    return height if isinstance(height, int | float) else None
+
+
 def plane_of(height_m: float | None, scenario: Any) -> float:
     """The height m that a method was given, or else the scenario's. BadValue where none is, or an anchor in it."""
-    height = getattr(scenario, "height_m", None) if height_m is None else height_m
+    height = known_height(scenario) if height_m is None else height_m
     if height is None:
         raise BadValue("height_m", None, "a number of m: the scenario does not say at which height its target is")
     level = np.abs(scenario.known_anchors.position[..., 2] - height) < 1e-9

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench.estimators.anchors import clipped, directions, plane_of
+from aoabench.estimators.anchors import clipped, directions, known_height, plane_of
 from aoabench.estimators.least_squares import solve
 from aoabench.estimators.lines import nearest_point
 from aoabench.geometry import Array
@@ -54,7 +54,7 @@ class VmfLikelihood:
         self._height(scenario)
 
     def _height(self, scenario: Any) -> float | None:
-        if self.height_m == FREE or (self.height_m is None and getattr(scenario, "height_m", None) is None):
+        if self.height_m == FREE or (self.height_m is None and known_height(scenario) is None):
             return None
         return plane_of(self.height_m, scenario)  # type: ignore[arg-type]
 
