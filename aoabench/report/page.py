@@ -81,8 +81,8 @@ def _study(
                 "image": embedded(figure) if good and item.figure and figure.exists() else "",
                 "shown": None if reading.shown is None else reading.shown.to_dict("split"),
                 "rows": [r for r in rows if r["study"] == study.name and r["item"] == item.name],
-                "origin": origin,
-                "settings": _settings(origin.get("config")),
+                "made": _made(origin),
+                "settings": _settings(origin.get("config")) + _machine(origin),
                 "command": f"aoabench reproduce {study.name} --only {item.name}{scale}",
             }
         )
@@ -101,6 +101,18 @@ def embedded(figure: Path, colours: int = 255) -> str:
         small, held = io.BytesIO(), image.convert("RGB")
         held.quantize(colours, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
     return base64.b64encode(min(original, small.getvalue(), key=len)).decode()
+
+
+def _made(origin: Mapping[str, Any]) -> str:
+    """Scale, seconds, time and version of a table in a line, as far as it tells them."""
+    told = {"scale": "scale {}", "seconds": "{} s", "time": "{}", "aoabench": "aoabench {}"}
+    return ", ".join(text.format(origin[key]) for key, text in told.items() if key in origin)
+
+
+def _machine(origin: Mapping[str, Any]) -> list[tuple[str, str]]:
+    libraries = {"Python": origin.get("python"), **origin.get("libraries", {})}
+    versions = ", ".join(f"{name} {number}" for name, number in libraries.items() if number)
+    return [("versions", versions), ("processor", ", ".join(origin.get("cpu_features", [])))]
 
 
 def _settings(config: Any) -> list[tuple[str, str]]:
