@@ -53,6 +53,8 @@ def replay(run: Path, replication: int, estimator: str, cell: str | None = None,
         columns[f"{name}_m"] = estimates.position[i, :, axis]
         if estimates.covariance is not None:
             columns[f"sigma_{name}_m"] = np.sqrt(np.maximum(estimates.covariance[i, :, axis, axis], 0.0))
+    if estimates.covariance is not None:
+        columns["covariance_xy_m2"] = estimates.covariance[i, :, 0, 1]
     for j in range(batch.azimuth.shape[2]):
         columns[f"azimuth_{j}_rad"] = batch.azimuth[i, :, j]
         columns[f"elevation_{j}_rad"] = batch.elevation[i, :, j]

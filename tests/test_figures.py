@@ -10,7 +10,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from aoabench import reproducing, store
-from aoabench.report import page, plots, prose, study
+from aoabench.report import animation, page, plots, prose, study
 from aoabench.statistics import Estimate
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -233,3 +233,33 @@ def test_each_verdict_comes_from_the_numbers(verdict, reason, entry, ours):
     assert row["verdict"] == verdict
     assert row["reason"].startswith(reason)
     assert bool(row["reason"]) == bool(reason)
+
+
+def traces():
+    files = sorted((RESULTS / "tables").glob("track-*.parquet"))
+    assert len(files) == 2
+    anchors = store.read_provenance(files[0])["config"]["scenario"]["anchors"]
+    return {f.stem.split("-")[1]: pd.read_parquet(f) for f in files}, anchors
+
+
+def test_the_animation_draws_the_traces_and_their_ellipses():
+    found, anchors = traces()
+    step = 30
+    axis = animation.frame(found, step, anchors).axes[0]
+    for name, trace in found.items():
+        model = name.removeprefix("ekf_")
+        (line,) = [x for x in axis.lines if x.get_label() == f"EKF-{plots.LABELS[model]}"]
+        assert np.array_equal(line.get_xdata(), trace["x_m"][step - 8 : step + 1])
+        assert np.array_equal(line.get_ydata(), trace["y_m"][step - 8 : step + 1])
+    row = next(iter(found.values())).iloc[step]
+    P = np.array([[row["sigma_x_m"] ** 2, row["covariance_xy_m2"]], [row["covariance_xy_m2"], row["sigma_y_m"] ** 2]])
+    d = animation.ellipse(row) - [row["x_m"], row["y_m"]]
+    assert np.einsum("ni,ij,nj->n", d, np.linalg.inv(P), d) == pytest.approx(5.991, rel=1e-3)
+    plt.close("all")
+
+
+def test_the_animation_is_written(tmp_path):
+    found, anchors = traces()
+    path = animation.write({name: trace[:3] for name, trace in found.items()}, anchors, tmp_path / "a.gif")
+    assert path.read_bytes().startswith(b"GIF89a")
+    assert (RESULTS / "figures" / "track.gif").stat().st_size < 700_000
