@@ -78,7 +78,7 @@ aoabench: Monte Carlo benchmark of angle-of-arrival (AoA) positioning
   aoabench collect RUN                 make the tables of a run again from its parts (every run ends so)
   aoabench replay RUN --replication N --estimator NAME    repeat one replication with its trace
   aoabench reproduce [STUDY ...] [--scale quick|paper] [--only ITEM]    tables and figures of the studies
-  aoabench report                      draw figures and page again from the stored tables
+  aoabench report [--format pdf|svg]   draw figures and page again from the stored tables
 
 RUN is the folder of a run (runner.out). Exit status: 0 done, 2 a mistake in the input, 1 anything else."""
 
@@ -250,9 +250,9 @@ def reproduce(arguments: Sequence[str]) -> int:
         help="quick: minutes; medium: some 20; paper: the paper's counts",
     )
     parser.add_argument("--only", metavar="ITEM", help="one table or figure, e.g. table1")
-    parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
+    _results_options(parser)
     given = parser.parse_args(list(arguments))
-    reproducing.reproduce(given.study, given.scale, given.only, Path(given.results), echo=print)
+    reproducing.reproduce(given.study, given.scale, given.only, Path(given.results), print, _formats(given))
     return 0
 
 
@@ -263,10 +263,19 @@ def report(arguments: Sequence[str]) -> int:
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
 
     parser = _Parser(prog="aoabench report", description="Draw figures and page again from the stored tables.")
-    parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
+    _results_options(parser)
     given = parser.parse_args(list(arguments))
-    reproducing.draw(reproducing.all_studies(), Path(given.results), echo=print)
+    reproducing.draw(reproducing.all_studies(), Path(given.results), print, formats=_formats(given))
     return 0
+
+
+def _results_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
+    parser.add_argument("--format", choices=["pdf", "svg"], help="figures in this format too, beside the PNG")
+
+
+def _formats(given: argparse.Namespace) -> list[str]:
+    return ["png", given.format] if given.format else ["png"]
 
 
 # --- reading a run ----------------------------------------------------------------------------------------------------

@@ -25,7 +25,9 @@ def all_studies() -> list[str]:
     return study.names()
 
 
-def reproduce(names: Sequence[str], scale: str, only: str | None, results: Path, echo: Echo) -> None:
+def reproduce(
+    names: Sequence[str], scale: str, only: str | None, results: Path, echo: Echo, formats: Sequence[str] = ("png",)
+) -> None:
     """Compute the items of the named studies (all if none is named) at a scale, then draw them.
 
     Raises UserError for an unknown study or item.
@@ -48,7 +50,7 @@ def reproduce(names: Sequence[str], scale: str, only: str | None, results: Path,
         origin = {**store.provenance(origin), "scale": scale, "seconds": round(time.perf_counter() - begin, 2)}
         store.write_frame(study.table_path(results, s, item), frame, origin)
         echo(f"{s.name} {item.name}: {len(frame)} rows, {origin['seconds']:.1f} s ({scale})")
-    draw([s.name for s in chosen], results, echo, {item.name for _, item in items})
+    draw([s.name for s in chosen], results, echo, {item.name for _, item in items}, formats)
 
 
 def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tuple[Any, Any]:
@@ -72,19 +74,35 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
     return reduce(frame[frame["replication"] < reps]), origin
 
 
-def draw(names: Sequence[str], results: Path, echo: Echo, only: set[str] | None = None) -> None:
-    """Figures of the named studies, and verdicts and page of all, from the tables under `results`."""
+def draw(
+    names: Sequence[str],
+    results: Path,
+    echo: Echo,
+    only: set[str] | None = None,
+    formats: Sequence[str] = ("png",),
+) -> None:
+    """Figures of the named studies, and verdicts and page of all, from the tables under `results`.
+
+    A line tells of each table that is of another version, and of each study what is not there.
+    """
     runner.writable(str(results / "figures"), "--results")
+    problems = {}
     for name in names:
         s = study.load(name)
+        absent = [item.name for item in s.items if not study.table_path(results, s, item).exists()]
         for item in s.items:
             if only is None or item.name in only:
-                study.draw(s, item, results)
+                problem = study.draw(s, item, results, tuple(formats)) or study.read(s, item, results).problem
+                problems[name, item.name] = problem
+                if problem:
+                    echo(f"{name} {item.name}: not computed: {problem}; aoabench reproduce {name} --only {item.name}")
+        if absent and only is None:
+            echo(f"{name}: not computed: {', '.join(absent)}; aoabench reproduce {name}")
     everything = [study.load(name) for name in all_studies()]
     verdicts = study.verdicts(everything, results)
     if len(verdicts):
         store.write_frame(results / "tables" / "verdicts.parquet", verdicts)
-    html = page.write(everything, verdicts, results)
+    html = page.write(everything, verdicts, results, problems)
     echo("")
     echo(study.verdict_text(verdicts[verdicts["study"].isin(list(names))]))
     echo(f"tables   {results / 'tables'}")

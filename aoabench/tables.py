@@ -404,7 +404,16 @@ def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, 
     varied = {name for name in names if len({json.dumps(leaves.get(name)) for leaves in full.values()}) > 1}
     varied |= {name for r in noted for name in (*r["changed"], *r["swept"]) if name in full[r["cell"]]}
     keep = sorted(name for name in varied if not name.endswith("_target_") and name != "seed")
-    return {cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in full.items()}
+    found = {cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in full.items()}
+    for name in keep:
+        if len({_kind(values[name]) for values in found.values()} - {None}) > 1:  # a number here, a list there: texts
+            for values in found.values():
+                values[name] = None if values[name] is None else str(values[name])
+    return found
+
+
+def _kind(value: Any) -> str | None:
+    return None if value is None else "number" if type(value) in (int, float) else type(value).__name__
 
 
 def _natural(values: Iterable[Any]) -> list[tuple[bool, float, str]]:

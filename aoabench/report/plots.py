@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+STYLE = Path(__file__).with_name("house.mplstyle")
 COLUMN = 3.5  # inches: width of one column in print
 PAGE = 7.2  # inches: width of two columns
 
@@ -17,6 +18,17 @@ COLOURS = {"vmf": "#0072B2", "ae_nominal": "#D55E00", "ae_fitted": "#E69F00", "a
 GREY = "#555555"
 LABELS = {"vmf": "VMF", "ae_nominal": "AE-nominal", "ae_fitted": "AE-fitted", "ae_adaptive": "AE-adaptive"}
 MARKERS = {"vmf": "o", "ae_nominal": "s", "ae_fitted": "D", "ae_adaptive": "^"}
+
+
+BOUND = {"color": "black", "lw": 1.2, "ls": "--", "zorder": 5}  # the square root of the Cramér-Rao bound, everywhere
+BOUND_LABEL = "square root of the CRB"
+# What a file says of its making would differ from one day to the next: left out
+_METADATA: dict[str, dict[str, Any]] = {
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    "svg": {"Date": None, "Creator": None},
+}
+FORMATS = tuple(_METADATA)
 
 
 def new(
@@ -29,16 +41,27 @@ def new(
     return plt.subplots(rows, cols, figsize=size, layout="constrained", **kwargs)
 
 
-def save(make: Callable[[], Figure], path: Path, dpi: int = 200) -> Path:
-    """Draw in the house style and write a PNG that depends on the data alone."""
+def save(make: Callable[[], Figure], path: Path, formats: tuple[str, ...] = ("png",), dpi: int = 200) -> Path:
+    """Draw in the house style and write `path` in each format; the files depend on the data alone."""
     import matplotlib.pyplot as plt
 
-    with plt.style.context(str(Path(__file__).with_name("house.mplstyle"))):
+    with plt.style.context(str(STYLE)):
         figure = make()
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=dpi, metadata={"Software": None})
+        for form in formats:
+            figure.savefig(path.with_suffix(f".{form}"), dpi=dpi, metadata=_METADATA[form])
         plt.close(figure)
     return path
+
+
+def bound(axis: Any, x: Any, y: Any) -> None:
+    """Draw the square root of the Cramér-Rao bound as a curve."""
+    axis.plot(x, y, label=BOUND_LABEL, **BOUND)
+
+
+def bound_ratio(axis: Any, label: str | None = None) -> None:
+    """Draw the bound in a panel of ratios to it: the line at 1."""
+    axis.axhline(1, label=label, **BOUND)
 
 
 def boxes(axis: Any, groups: list[Any], positions: list[float], colours: list[str], width: float = 0.6) -> None:

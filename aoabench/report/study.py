@@ -99,6 +99,10 @@ def figure_path(results: Path, study: Study, item: Item) -> Path:
     return results / "figures" / f"{study.name}_{item.name}.png"
 
 
+OTHER_VERSION = "the table is of another version"
+_UNFIT = (LookupError, AttributeError, TypeError, ValueError, OSError)  # from reading a table for what it lacks
+
+
 def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
     """An item's stored table; None if it was not computed."""
     import pandas as pd
@@ -107,24 +111,47 @@ def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
     return pd.read_parquet(path) if path.exists() else None
 
 
-def draw(study: Study, item: Item, results: Path) -> Path | None:
-    """Draw an item's figure from its stored table; None for tables and where nothing is stored."""
-    frame = table(results, study, item) if item.figure else None
-    if frame is None:
-        return None
+def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:
+    """Draw an item's figure from its stored table, if it has both; returns what was wrong with the table, or "".
+
+    A figure that does not come out of its table does not stay either.
+    """
+    path = figure_path(results, study, item)
+    if not item.figure or not table_path(results, study, item).exists():
+        return ""
     from aoabench.report import plots
 
-    return plots.save(lambda: getattr(study.figures, item.name)(frame), figure_path(results, study, item))
+    try:
+        frame = table(results, study, item)
+        plots.save(lambda: getattr(study.figures, item.name)(frame), path, formats)
+    except _UNFIT as error:
+        path.unlink(missing_ok=True)
+        return f"{OTHER_VERSION} ({type(error).__name__}: {' '.join(str(error).split())[:80]})"
+    return ""
 
 
-def values(study: Study, item: Item, results: Path) -> dict[str, tuple[Estimate, float]]:
-    """The item's numbers by id with the samples they rest on (NaN if not sampled); {} if not computed."""
-    frame = table(results, study, item)
-    reader = getattr(study.figures, f"{item.name}_values", None)
-    if frame is None or reader is None:
-        return {}
-    found = reader(frame)
-    return {key: value if isinstance(value, tuple) else (value, float("nan")) for key, value in found.items()}
+@dataclass(frozen=True)
+class Reading:
+    """What an item's stored table says."""
+
+    stored: bool
+    values: dict[str, tuple[Estimate, float]]  # by id, with the samples they rest on (NaN: not sampled)
+    shown: pd.DataFrame | None = None  # texts to show as a table, where figures.py has NAME_table
+    problem: str = ""  # why a stored table says nothing
+
+
+def read(study: Study, item: Item, results: Path) -> Reading:
+    """Read an item's stored table; nothing but `problem` comes from one that is of another version."""
+    if not table_path(results, study, item).exists():
+        return Reading(False, {})
+    try:
+        frame = table(results, study, item)
+        found: dict[str, Any] = getattr(study.figures, f"{item.name}_values", lambda _: {})(frame)
+        shown = getattr(study.figures, f"{item.name}_table", lambda _: None)(frame)
+    except _UNFIT:
+        return Reading(True, {}, problem=OTHER_VERSION)
+    pairs = {key: value if isinstance(value, tuple) else (value, float("nan")) for key, value in found.items()}
+    return Reading(True, pairs, shown)
 
 
 VERDICT_COLUMNS = ("study", "item", "id", "what", "printed", "ours", "se", "unit", "verdict", "reason", "claim")
@@ -137,10 +164,15 @@ def verdicts(studies: list[Study], results: Path) -> pd.DataFrame:
     rows = []
     for study in studies:
         found: dict[str, tuple[Estimate, float]] = {}
+        problems = {}
         for item in study.items:
-            found |= values(study, item, results)
+            reading = read(study, item, results)
+            found |= reading.values
+            problems[item.name] = reading.problem
         for entry in study.printed:
-            rows.append(_judge(study, entry, found))
+            row = _judge(study, entry, found)
+            unread = row["verdict"] == statistics.NOT_COMPUTED and problems[entry["item"]]
+            rows.append({**row, "reason": problems[entry["item"]]} if unread else row)
     return pd.DataFrame(rows, columns=list(VERDICT_COLUMNS))
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from aoabench.report.plots import GREY, PAGE, new
+from aoabench.report.plots import BOUND_LABEL, GREY, PAGE, bound, bound_ratio, new
 from aoabench.statistics import Estimate
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ STYLES = {
     "ml_atan2": {"color": "#E69F00", "marker": "D", "ls": "--"},
     "ml_kcorr": {"color": "#0072B2", "marker": "o", "ls": "-"},
 }
-BOUND = {"color": "black", "lw": 1.0, "ls": (0, (1, 1)), "label": "square root of the CRB"}
 SIGMA = "deviation of the angles [deg]"
 
 
@@ -63,12 +62,12 @@ def fig6(frame: pd.DataFrame) -> Figure:
     figure, (left, right) = new(PAGE, 3.0, cols=2)
     for name, label in NAMES.items():
         _curve(left, _of(frame, name), "sigma_deg", "rmse_m", "rmse_se", label=label, **STYLES[name])
-    bound = _of(frame, "ls")
-    left.plot(bound["sigma_deg"], bound["bound_m"], zorder=5, **BOUND)
+    rows = _of(frame, "ls")
+    bound(left, rows["sigma_deg"], rows["bound_m"])
     left.set(xlabel=SIGMA, ylabel="RMSE [m]", yscale="log")
     for name in ("ls", "ml_kcorr"):
         _curve(right, _of(frame, name), "sigma_deg", "ratio", "ratio_se", label=NAMES[name], **STYLES[name])
-    right.axhline(1, **{**BOUND, "label": None})
+    bound_ratio(right)
     right.set(xlabel=SIGMA, ylabel="RMSE / square root of the CRB")
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
@@ -168,8 +167,8 @@ def errata(frame: pd.DataFrame) -> Figure:
         if variant in ("sign", "invariant"):
             above, se = rows["above_meant_percent"], rows["above_meant_se"]
             right.errorbar(rows["sigma_deg"], above, yerr=3 * se, capsize=2, elinewidth=0.8, **style)
-    bound = _of(frame[frame["variant"] == "meant"], "ml_kcorr")
-    left.plot(bound["sigma_deg"], bound["bound_m"], zorder=5, **BOUND)
+    rows = _of(frame[frame["variant"] == "meant"], "ml_kcorr")
+    bound(left, rows["sigma_deg"], rows["bound_m"])
     left.set(xlabel=SIGMA, ylabel="RMSE of (d) [m]", yscale="log")
     right.axhline(0, color="black", lw=0.8, ls=":")
     right.set(xlabel=SIGMA, ylabel="RMSE of (d) above as meant [%]")
@@ -198,7 +197,7 @@ def zones(frame: pd.DataFrame) -> Figure:
             rows = _of(frame[frame["zone"] == where], name)
             look = {"color": colour, "marker": marker, "ls": line, "ms": 3, "label": where}
             _curve(axis, rows, "sigma_deg", "ratio", "ratio_se", **look)
-        axis.axhline(1, **{**BOUND, "label": None})
+        bound_ratio(axis)
         axis.set(xscale="log", yscale="linear" if name in ("ls", "ml_kcorr") else "log", title=NAMES[name])
         axis.set_xticks(ticks := [0.5, 1, 2, 4, 8, 15], [f"{t:g}" for t in ticks])
         axis.minorticks_off()
@@ -217,7 +216,7 @@ def pole(frame: pd.DataFrame) -> Figure:
             for name, label in NAMES.items():
                 rows = part[part["estimator"] == name].sort_values("distance_m")
                 _curve(axis, rows, "distance_m", ratio, f"{ratio}_se", label=label, **STYLES[name])
-            axis.axhline(1, **BOUND)
+            bound_ratio(axis, BOUND_LABEL)
             axis.set(xscale="log", yscale="log", title=f"{what}, {sigma:g} deg")
     figure.supxlabel("horizontal distance from a column of base stations [m]", fontsize=8)
     figure.supylabel("RMSE / square root of the CRB", fontsize=8)
