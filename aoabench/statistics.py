@@ -329,7 +329,7 @@ def undecided(printed: Any, rounding: float, ours: Estimate, *, strict: bool = F
     """Why a verdict rests on too few replications: a sentence, or nothing if it does not.
 
     A strict claim is undecided while ours lies within z standard errors of its bound; a number while z standard errors
-    exceed five times its rounding.
+    exceed five times its rounding, unless ours is clearly another one.
     """
     slack = z * ours.se
     if strict and isinstance(printed, tuple):
@@ -337,7 +337,7 @@ def undecided(printed: Any, rounding: float, ours: Estimate, *, strict: bool = F
         outside = ours.value + slack < low or ours.value - slack > high
         inside = low + slack <= ours.value <= high - slack
         return "" if inside or outside else f"undecided: within {z:g} standard errors of the bound"
-    if rounding > 0 and slack > 5 * rounding:
+    if rounding > 0 and slack > 5 * rounding and abs(ours.value - printed) <= rounding + slack:
         return "undecided: the standard error is too large for the printed digits"
     return ""
 

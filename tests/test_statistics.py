@@ -143,6 +143,7 @@ def test_undecided_is_said():
     assert not s.undecided(claim, 0.0, Estimate(-1.5, 0.3), strict=True)
     assert s.undecided(0.13, 0.005, Estimate(0.9, 0.5))
     assert not s.undecided(0.13, 0.005, Estimate(0.131, 0.001))
+    assert not s.undecided(2.3, 0.05, Estimate(8.7, 0.3)), "clearly another one"
 
 
 def test_a_true_number_is_seldom_missed():

@@ -151,7 +151,7 @@ def fig3c(frame: pd.DataFrame) -> Figure:
         if apart:
             axis.plot(rows["error_m"], rows["cdf"], color=colormaps["viridis"](apart / 10), label=f"{apart} m")
         else:
-            axis.plot(rows["error_m"], rows["cdf"], color="black", ls="--", lw=1.5, label="C alone")
+            axis.plot(rows["error_m"], rows["cdf"], color=GREY, ls=":", lw=2, label="C alone")
     axis.set(xlabel=ERROR, ylabel="share of the estimates", xlim=(0, 6), ylim=(0, 1))
     axis.legend(title="A and B apart", ncols=2)
     return figure

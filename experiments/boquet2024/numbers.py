@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,15 +56,14 @@ def within(e: np.ndarray, limit_m: float = 1.0) -> Estimate:
 
 
 def jackknife(e: np.ndarray, number: Callable[[np.ndarray], float]) -> Estimate:
-    """A number of all given errors (R, T), with its standard error from leaving out each campaign in turn."""
-    whole = number(e[np.isfinite(e)])
-    left = np.array([number(x[np.isfinite(x)]) for x in (np.delete(e, i, axis=0) for i in range(len(e)))])
+    """A number of all errors (R, T), with its standard error from leaving out each campaign in turn."""
+    whole, left = number(e), np.array([number(np.delete(e, i, axis=0)) for i in range(len(e))])
     return Estimate(whole, float(np.sqrt((len(e) - 1) / len(e) * ((left - left.mean()) ** 2).sum())))
 
 
 def rms(e: np.ndarray) -> float:
-    """Root mean square of errors (N,)."""
-    return float(np.sqrt(np.mean(e**2)))
+    """Root mean square of the given errors."""
+    return float(np.sqrt(np.nanmean(e**2)))
 
 
 def lost(f: Fixes) -> Estimate:
@@ -253,7 +253,7 @@ def fig6(runs: Runs) -> pd.DataFrame:
         f = found[r]
         numbers = {
             "rmse_m": jackknife(error(f), rms),
-            "cep90_m": jackknife(error(f), lambda e: float(np.quantile(e, 0.9))),
+            "cep90_m": jackknife(error(f), lambda e: float(np.nanquantile(e, 0.9))),
             "within_1m": within(error(f)),
             "lost": lost(f),
             "discarded": discarded(f, fixes["df_without_vote"]),
@@ -437,17 +437,22 @@ def misfits(fixes: dict[str, Fixes], days: dict[str, np.ndarray], points: int) -
             yield _misfit(
                 f"mean of {name}'s medians [m]", f"grid/{name}", grid.mean(), statistics.mean(np.nanmean(m, 1)), 0.1
             )
-            ours = np.nanmean(m, axis=0)
-            off = float(np.sqrt(np.nanmean(np.log(ours / grid) ** 2)))
-            inside = (grid >= np.nanquantile(m, 0.05, axis=0)) & (grid <= np.nanquantile(m, 0.95, axis=0))
-            yield {
-                "what": f"root mean square log ratio to {name}'s grid",
-                "id": f"ratio/{name}",
-                "ours": off,
-                "se": np.nan,
-            }
-            yield {"what": f"share of {name}'s grid within 5..95 % of our campaigns", "id": f"inside/{name}",
-                   "printed": 0.9, "ours": inside.mean(), "se": np.nan}  # fmt: skip
+            off, inside = jackknife(m, partial(_log_ratio, grid)), jackknife(m, partial(_inside, grid))
+            for key, what, ours in (
+                ("ratio", f"root mean square log ratio to {name}'s grid", off),
+                ("inside", f"share of {name}'s grid within 5..95 % of our campaigns", inside),
+            ):
+                yield {"what": what, "id": f"{key}/{name}", "ours": ours.value, "se": ours.se}
+
+
+def _log_ratio(grid: np.ndarray, m: np.ndarray) -> float:
+    """Root mean square log ratio of the mean of campaigns' medians (R, P) to a printed grid (P,)."""
+    return float(np.sqrt(np.nanmean(np.log(np.nanmean(m, axis=0) / grid) ** 2)))
+
+
+def _inside(grid: np.ndarray, m: np.ndarray) -> float:
+    """Share of a printed grid (P,) within the middle 90 % of campaigns' medians (R, P)."""
+    return float(np.mean((grid >= np.nanquantile(m, 0.05, axis=0)) & (grid <= np.nanquantile(m, 0.95, axis=0))))
 
 
 def _misfit(what: str, key: str, printed: float, ours: Estimate, tolerance: float) -> dict[str, Any]:
