@@ -30,6 +30,9 @@ PURE = (
     "P(",
     "RMSE of the mean / RMSE of A",
     "ratio",
+    "R_",  # R_sigma and R_d
+    "misfit in units",
+    "deviation of B over that of A",
 )
 
 

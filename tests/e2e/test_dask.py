@@ -68,15 +68,15 @@ def test_rows_are_those_of_loky_though_a_worker_is_killed_half_way(tmp_path, mon
         # the same folder goes on with another backend, and a plug-in beside the run is found by the workers
         more = runner.run(compose_cells([*WORDS, "reps=170", "runner.out=dask", "runner.n_jobs=1"]), progress=False)
         assert more.computed == 20
-        (tmp_path / "my_origin.py").write_text(
+        (tmp_path / "my_remote_origin.py").write_text(
             "from dataclasses import dataclass\nimport numpy as np\nfrom aoabench import Estimates\n\n\n@dataclass(frozen=True)\nclass Origin:\n"
             "    def __call__(self, batch, scenario, streams):\n        shape = batch.azimuth.shape[:2]\n"
             "        return Estimates(np.zeros((*shape, 3)), None, None, np.zeros(shape, dtype=np.int8))\n"
         )
         (tmp_path / "conf" / "estimator").mkdir(parents=True)
-        (tmp_path / "conf" / "estimator" / "origin.yaml").write_text("origin: {_target_: my_origin.Origin}\n")
+        (tmp_path / "conf" / "estimator" / "origin.yaml").write_text("origin: {_target_: my_remote_origin.Origin}\n")
         words += ["estimator=[origin]", "reps=300", "runner.chunk=128"]
-        frame = aoabench.run(*words, out="plugin", config_dir="conf", plugins=["my_origin"])
+        frame = aoabench.run(*words, out="plugin", config_dir="conf", plugins=["my_remote_origin"])
         assert len(frame) == 300
         # a worker with other code refuses to compute under this run's keys
         monkeypatch.setattr(store, "_versions", lambda: {"numpy": "0.1"})
