@@ -231,7 +231,7 @@ def number_text(value: float, se: float) -> str:
     """A number with its standard error, to the digits that the error supports."""
     if value != value:
         return "-"
-    if se != se or se == 0:
+    if se != se or se <= 1e-12 * abs(value):  # none, or what rounding leaves of none
         return f"{value:.4g}"
     from math import floor, log10
 
