@@ -50,7 +50,10 @@ def per_step(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
 
 
 def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
-    """What float32 holds of each fix, and outcomes (int8), each (R, T), of replications that share their positions."""
+    """What float32 holds of each fix, outcomes (int8) and places, each (R, T), of replications that share positions.
+
+    Fixes of one true position have one place, numbered from 0 in the order of their first fix.
+    """
     error, nothing = estimates.position - truth, np.full(estimates.outcome.shape, np.nan, dtype=np.float32)
     said = {name: getattr(estimates, name) for name in ("iterations", "score", "anchors_used")}
     return {
@@ -58,7 +61,14 @@ def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
         "error_xy_m": np.hypot(error[..., 0], error[..., 1]).astype(np.float32),
         **{name: nothing if value is None else value.astype(np.float32) for name, value in said.items()},
         "outcome": estimates.outcome.astype(np.int8),
+        "place": np.broadcast_to(places(truth[0]), estimates.outcome.shape),
     }
+
+
+def places(truth: Array) -> np.ndarray:
+    """Numbers (T,) from 0 of the different true positions (T, 3) m, in the order of their first appearance."""
+    _, first, seat = np.unique(truth, axis=0, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[seat.ravel()].astype(np.int32)
 
 
 def distance(error: Array) -> Array:

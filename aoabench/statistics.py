@@ -209,6 +209,11 @@ class Clusters:
     def __add__(self, other: Clusters) -> Clusters:
         return Clusters(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
+    def grouped(self, place: np.ndarray) -> Clusters:
+        """The same with one position for each number among `place` (P,), which counts from 0."""
+        sums = (np.bincount(place, getattr(self, f.name)) for f in fields(self) if f.name != "replications")
+        return Clusters(self.replications, *sums)
+
     def influence(self, metric: str) -> Array | None:
         """P times what each position (P,) adds to the mean over replications of a metric, about it; None if unknown.
 

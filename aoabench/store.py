@@ -50,7 +50,7 @@ STEPS = {
 }  # fmt: skip
 FIXES = {
     "replication": "int64", "error_3d_m": "floats", "error_xy_m": "floats", "iterations": "floats", "score": "floats",
-    "anchors_used": "floats", "outcome": "bytes",
+    "anchors_used": "floats", "outcome": "bytes", "place": "ints",
 }  # fmt: skip
 FAILURES = {"replication": "int64", "error": "string", "lost": "bool"}
 # what a part may consist of; rows are always there, failures where an estimator raised or gave NaN
@@ -63,7 +63,7 @@ def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = No
     import pyarrow as pa
 
     types = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "bool": pa.bool_()}
-    types |= {"floats": pa.list_(pa.float32()), "bytes": pa.list_(pa.int8())}
+    types |= {"floats": pa.list_(pa.float32()), "bytes": pa.list_(pa.int8()), "ints": pa.list_(pa.int32())}
     meta = {"aoabench": json.dumps(provenance, default=str)} if provenance else None
     return pa.schema([(name, types[kind]) for name, kind in columns.items()], metadata=meta)
 

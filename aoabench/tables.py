@@ -342,7 +342,7 @@ class Fixes:
     """Every fix of one estimator in one cell whose replications share their true positions; arrays (R, T).
 
     error_3d_m, error_xy_m in m (NaN: no position), iterations, score and anchors_used of types.Estimates (NaN: none
-    told), outcome of types.Outcome.
+    told), outcome of types.Outcome, place the number of the true position, which several fixes may share.
     """
 
     error_3d_m: np.ndarray
@@ -351,6 +351,7 @@ class Fixes:
     score: np.ndarray
     anchors_used: np.ndarray
     outcome: np.ndarray
+    place: np.ndarray | None = None
 
 
 def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
@@ -385,6 +386,7 @@ def clusters(
         return None
     wanted = None if replications is None else np.fromiter(replications, dtype=np.int64)
     total: statistics.Clusters | None = None
+    place: np.ndarray | None = None
     for part in _noted_parts(root, entry, "fixes"):
         if wanted is not None:
             part = part.filter(pa.array(np.isin(part["replication"].to_numpy(), wanted)))
@@ -393,8 +395,8 @@ def clusters(
         one = _fixes(part)
         accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED]) & np.isfinite(one.error_xy_m)
         found = statistics.clusters(one.error_3d_m, one.error_xy_m, one.iterations, accepted)
-        total = found if total is None else total + found
-    return total
+        total, place = found if total is None else total + found, one.place
+    return None if total is None or place is None else total.grouped(place[0])
 
 
 def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

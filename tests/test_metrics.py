@@ -54,3 +54,8 @@ def test_nees_of_a_broken_covariance_is_missing_not_an_exception():
     value = metrics.nees(np.ones((1, 4, 3)), P)
     assert value[0, 0] == pytest.approx(3)
     assert np.isnan(value[0, 1:]).all()
+
+
+def test_fixes_of_one_position_share_a_place():
+    truth = np.array([[1.0, 2, 0], [0, 0, 0], [1, 2, 0], [0, 5, 0], [0, 0, 0]])
+    assert metrics.places(truth).tolist() == [0, 1, 0, 2, 1]

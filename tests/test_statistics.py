@@ -233,3 +233,16 @@ def test_clustered_comparisons_cover():
         hits += low < 10 < high
     assert pair.units == 200
     assert 0.93 < hits / 2000 < 0.97
+
+
+def test_packets_of_one_position_are_one_cluster(rng):
+    """Grouped sums are those of a batch whose packets were summed per position first."""
+    error = rng.rayleigh(size=(6, 12))
+    place = np.repeat(np.arange(4), 3)
+    c = s.clusters(error, error, np.ones_like(error), np.ones(error.shape, dtype=bool))
+    g = c.grouped(place)
+    assert np.allclose(g.square_xy, (error**2).reshape(6, 4, 3).sum(axis=(0, 2)))
+    assert g.replications == 6
+    assert np.isclose(g.influence_3d.sum(), c.influence_3d.sum())
+    same = s.clusters(np.repeat(error[:, ::3], 3, axis=1), error, np.ones_like(error), np.ones(error.shape, dtype=bool))
+    assert same.grouped(place).standard_errors()["rmse_pooled_3d_m"] > 1.3 * same.standard_errors()["rmse_pooled_3d_m"]
