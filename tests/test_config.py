@@ -16,7 +16,7 @@ from aoabench.types import UserError
     "subprocess.Popen",
     "aoabench.cli.os.system",
     "aoabench.cli.main",
-    "aoabench.runner.Task",
+    "aoabench.workers.Task",
     "aoabench.store.os.remove",
     "aoabench.noise.angular.np.load",
     "aoabench.noise.angular.math.exp",

@@ -6,7 +6,7 @@ from dataclasses import replace
 import psutil
 
 import aoabench
-from aoabench import runner
+from aoabench import runner, workers
 from aoabench.composing import compose_cells
 
 CELLS = 100
@@ -18,14 +18,14 @@ def test_a_hundred_cells_leave_memory_and_handles_as_they_were(tmp_path, monkeyp
     first = compose_cells(words)[0]
     cells = [replace(first, seed=seed, config={**first.config, "seed": seed}) for seed in range(CELLS)]
     me, seen = psutil.Process(), []
-    compute = runner.compute
+    compute = workers.compute
 
     def watched(task, out):
         found = compute(task, out)
         seen.append((me.num_fds(), me.memory_info().rss / 2**20))
         return found
 
-    monkeypatch.setattr(runner, "compute", watched)
+    monkeypatch.setattr(workers, "compute", watched)
     assert runner.run(cells, progress=False).computed == 2 * CELLS
     assert len(seen) == CELLS
     early, late = (seen[CELLS // 5 :][:20], seen[-20:])

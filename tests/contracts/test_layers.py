@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[2] / "aoabench"
 
 # top to bottom; a module may import from its own room and from rooms below
 LAYERS = [
-    ("cli", "bench"), ("reproducing", "replaying", "comparing"), ("runner",), ("montecarlo",), ("scenarios",), ("noise",), ("models",),
+    ("cli", "bench"), ("reproducing", "replaying", "comparing"), ("runner",), ("workers",), ("montecarlo",), ("scenarios",), ("noise",), ("models",),
     ("filters",), ("estimators",), ("bounds",), ("metrics",), ("composing",), ("config",), ("report",), ("tables",), ("store",), ("statistics",), ("intervals",), ("kernels",),
     ("types",), ("directional",), ("geometry",), ("streams",),
 ]  # fmt: skip

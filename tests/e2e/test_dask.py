@@ -115,7 +115,7 @@ def test_the_cluster_is_not_part_of_any_key():
 ])  # fmt: skip
 def test_a_bad_address_is_the_users_mistake(words, expected, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runner, "_CONNECT_S", 1)
+    monkeypatch.setattr("aoabench.workers._CONNECT_S", 1)
     with pytest.raises(SystemExit) as stop:
         main(["run", "filter=[ekf_vmf]", "reps=3", *words])
     said = capsys.readouterr().err
