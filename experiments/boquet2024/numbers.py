@@ -98,13 +98,13 @@ def only(runs: Runs) -> tuple[Any, dict[str, Fixes]]:
 # --- Figure 2 ---------------------------------------------------------------------------------------------------------
 
 ROOM = 10.0  # m, the sides of the standard room
-ABC = np.array([[2.5, 5.0, 3.0], [7.5, 5.0, 3.0], [5.0, 5.0, 3.0]])
-LAYOUTS = {
-    "one anchor": ABC[2:],
-    "two anchors": ABC[:2],
-    "three anchors": np.array([[2.5, 2.5, 3.0], [7.5, 2.5, 3.0], [5.0, 7.5, 3.0]]),
-    "four anchors": np.array([[2.5, 2.5, 3.0], [7.5, 2.5, 3.0], [2.5, 7.5, 3.0], [7.5, 7.5, 3.0]]),
-}
+LAYOUTS = {f"{number} anchor{'s' * (i > 0)}": f"_{i + 1}" for i, number in enumerate(("one", "two", "three", "four"))}
+
+
+def standard_room(which: str = "") -> Anchors:
+    """Anchors of scenario=standard_room, A, B and C of Figure 3, or of standard_room_1 ... _4, those of Figure 2."""
+    words = [f"scenario=standard_room{which}", "noise=ae_normal", "estimator=[anchor_mean]"]
+    return compose_cells(words)[0].scenario.known_anchors
 
 
 def upright(position: np.ndarray) -> Anchors:
@@ -118,12 +118,14 @@ def fig2(scale: str) -> pd.DataFrame:
     side = np.arange(step / 2, ROOM, step)
     x, y = (a.ravel() for a in np.meshgrid(side, side))
     rows = []
-    for name, position in LAYOUTS.items():
-        g = bounds.gdop(np.stack([x, y, 0 * x], axis=-1), upright(position), known_z=True)
+    for name, which in LAYOUTS.items():
+        g = bounds.gdop(np.stack([x, y, 0 * x], axis=-1), standard_room(which), known_z=True)
         rows += [{"layout": name, "x_m": a, "y_m": b, "gdop_m": v} for a, b, v in zip(x, y, g)]
 
+    one = standard_room("_1")
+
     def single(away: float) -> float:
-        return float(bounds.gdop(np.array([5.0 + away, 5.0, 0.0]), upright(LAYOUTS["one anchor"]), known_z=True))
+        return float(bounds.gdop(np.array([5.0 + away, 5.0, 0.0]), one, known_z=True))
 
     least = optimize.minimize_scalar(single, bounds=(1e-4, 5.0), method="bounded", options={"xatol": 1e-6})
     root3 = optimize.brentq(lambda away: single(away) - np.sqrt(3) * single(1e-4), 0.1, 5.0)
@@ -155,8 +157,9 @@ def fig3a(scale: str) -> pd.DataFrame:
     """Samples at (8.5, 3.0) m from B and of the mean of A and B, unclipped; and 95th percentiles of their errors."""
     n = 10_000 if scale == "quick" else 1_000_000
     node, rows = np.array([8.5, 3.0, 0.0]), []
+    pair = standard_room().position[0, :2]
     for clip in (False, True):
-        xy = single_positions(node, ABC[:2], normal_errors(n, 2), clip)
+        xy = single_positions(node, pair, normal_errors(n, 2), clip)
         for name, found in (("B", xy[:, 1]), ("mean of A and B", xy.mean(axis=1))):
             e = np.hypot(*(found - node[:2]).T)
             rows.append({"kind": "clipped" if clip else "unclipped", "who": name, "samples": n, **q95(e)})
@@ -175,11 +178,12 @@ def fig3b(scale: str) -> pd.DataFrame:
     """RMSE of C alone and of the mean of A and B over the room, positions clipped to it, with standard errors."""
     n, step = (2_000, 1.0) if scale == "quick" else (1_000_000, 0.5)
     errors, side, rows = normal_errors(n, 3), np.arange(step / 2, ROOM, step), []
+    anchors = standard_room().position[0]
     for x in side:
         for y in side:
             squares = []
             for part in np.array_split(errors, max(n // 50_000, 1), axis=1):
-                xy = single_positions(np.array([x, y, 0.0]), ABC, part, clip=True)
+                xy = single_positions(np.array([x, y, 0.0]), anchors, part, clip=True)
                 pair = np.stack([xy[:, 2], xy[:, :2].mean(axis=1)], axis=1)
                 squares.append(((pair - [x, y]) ** 2).sum(axis=-1))
             square = np.concatenate(squares)
