@@ -346,7 +346,7 @@ def fig8(frame: pd.DataFrame) -> Figure:
         _map(axis, rows, rows[column].to_numpy(), cmap=shades, norm=norm, alpha=0.55)
         for r in rows.to_dict("records"):
             axis.text(r["x_m"], r["y_m"], f"{r[column]:.2f}", ha="center", va="center", fontsize=4.5)
-        axis.plot([3.7, 1.8, 5.6], [4.0, 6.9, 6.9], "^", mfc="none", mec="black", ms=7, mew=0.7)
+        axis.plot([3.7, 1.8, 5.6], [4.0, 6.9, 6.9], "^", color="white", ms=11, zorder=1.5)
         axis.set(title=title)
     for axis in axes.ravel()[len(panels) :]:
         axis.set_axis_off()
