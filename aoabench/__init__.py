@@ -1,7 +1,8 @@
-"""aoabench: the Monte Carlo simulation-and-benchmark framework for angle-of-arrival (AoA) positioning.
+"""aoabench: the Monte Carlo simulation-and-benchmark framework for angle-of-arrival (AoA)
+positioning.
 
-`run` simulates, `load` reads what a run left, `compare` compares its estimators; everything else is imported from its
-module.
+`run` simulates, `load` reads what a run left, `compare` compares its estimators; everything else is
+imported from its module.
 """
 
 from __future__ import annotations
@@ -10,7 +11,16 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from aoabench.types import Anchors, Batch, Estimates, Estimator, Measurements, Outcome, RunError, UserError
+from aoabench.types import (
+    Anchors,
+    Batch,
+    Estimates,
+    Estimator,
+    Measurements,
+    Outcome,
+    RunError,
+    UserError,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,12 +49,14 @@ def run(
     plugins: Sequence[str] = (),
     progress: bool = False,
 ) -> pd.DataFrame:
-    """Run one cell, or a sweep where overrides hold commas, and return the tidy frame of just that (see `load`).
+    """Run one cell, or a sweep where overrides hold commas, and return the tidy frame of just that
+    (see `load`).
 
-    Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]", "noise.sigma_deg=2,5", "reps=200")`.
-    `estimators` adds objects of your own by name: callables (batch, scenario, streams) -> Estimates, which see the same
-    draws as the presets. `out` is the folder of the tables (runner.out). Raises UserError for a mistake in the input,
-    RunError for what stopped the run on its way.
+    Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]",
+    "noise.sigma_deg=2,5", "reps=200")`. `estimators` adds objects of your own by name: callables
+    (batch, scenario, streams) -> Estimates, which see the same draws as the presets. `out` is the
+    folder of the tables (runner.out). Raises UserError for a mistake in the input, RunError for
+    what stopped the run on its way.
     """
     from aoabench import runner
     from aoabench.composing import compose_cells
@@ -53,21 +65,28 @@ def run(
     cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
     frame = load(runner.run(cells, progress).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
-    return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(drop=True)
+    return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
+        drop=True
+    )
 
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
-    """One row per cell x estimator x replication of the run in folder `out`, with a column per swept parameter."""
+    """One row per cell x estimator x replication of the run in folder `out`, with a column per
+    swept parameter.
+    """
     from aoabench import tables
 
     return tables.load(out)
 
 
-def compare(run: str | os.PathLike[str], baseline: str | None = None, metric: str = "rmse_3d_m") -> pd.DataFrame:
+def compare(
+    run: str | os.PathLike[str], baseline: str | None = None, metric: str = "rmse_3d_m"
+) -> pd.DataFrame:
     """Paired comparison of the estimators of the run in folder `run`, a row per cell and estimator.
 
-    Each row holds the change against `baseline` (none: the smallest mean of each cell) with its interval, the p-value
-    by Holm's method over the table, and the line that says it. See `comparing.compare` for the columns.
+    Each row holds the change against `baseline` (none: the smallest mean of each cell) with its
+    interval, the p-value by Holm's method over the table, and the line that says it. See
+    `comparing.compare` for the columns.
     """
     from aoabench import comparing
 

@@ -1,4 +1,5 @@
-"""What the measurements allow: Fisher information, Cramér-Rao bound, geometric dilution of precision.
+"""What the measurements allow: Fisher information, Cramér-Rao bound, geometric dilution of
+precision.
 
 All functions take points (..., 3) m and anchors (1, B, ...), and broadcast.
 """
@@ -18,27 +19,35 @@ WHOLE = 1e-12  # an information matrix whose eigenvalues differ by more has no i
 def azel_information(
     point: Array, anchors: Anchors, azimuth_sigma: float | Array, elevation_sigma: float | Array
 ) -> Array:
-    """Fisher information (..., 3, 3) 1/m^2 of independent normal azimuths and elevations, G^T C^-1 G [Le 2021, (30)].
+    """Fisher information (..., 3, 3) 1/m^2 of independent normal azimuths and elevations, G^T C^-1
+    G [Le 2021, (30)].
 
-    Deviations in rad, (B,) or one for all. The azimuth's part is infinite at an anchor's pole, and NaN on the anchor.
+    Deviations in rad, (B,) or one for all. The azimuth's part is infinite at an anchor's pole, and
+    NaN on the anchor.
     """
     p = np.asarray(point, dtype=float)
-    local = np.stack(in_frames(p.reshape(1, -1, 3), anchors.position, anchors.rotation), axis=-1)[0]  # (N, B, 3)
+    local = np.stack(in_frames(p.reshape(1, -1, 3), anchors.position, anchors.rotation), axis=-1)[
+        0
+    ]  # (N, B, 3)
     x, y, z = local[..., 0], local[..., 1], local[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         rho = np.hypot(x, y)
         r = np.hypot(rho, z)
         azimuth = np.stack([-y, x, np.zeros_like(x)], axis=-1) / (rho**2)[..., None]
         elevation = np.stack([-x * z / rho, -y * z / rho, rho], axis=-1) / (r**2)[..., None]
-        rows = np.stack([azimuth / _column(azimuth_sigma), elevation / _column(elevation_sigma)], axis=-2)
+        rows = np.stack(
+            [azimuth / _column(azimuth_sigma), elevation / _column(elevation_sigma)], axis=-2
+        )
         G = rows @ anchors.rotation[0]  # (N, B, 2, 3), whitened
         return np.einsum("nbmi,nbmj->nij", G, G).reshape(*p.shape[:-1], 3, 3)
 
 
 def direction_information(point: Array, anchors: Anchors, kappa: float | Array) -> Array:
-    """Fisher information (..., 3, 3) 1/m^2 of von Mises-Fisher directions: sum of A kappa (I - d d^T) / r^2.
+    """Fisher information (..., 3, 3) 1/m^2 of von Mises-Fisher directions: sum of A kappa (I - d
+    d^T) / r^2.
 
-    A = coth(kappa) - 1 / kappa is the mean resultant length, kappa (B,) or one for all. No direction is singular.
+    A = coth(kappa) - 1 / kappa is the mean resultant length, kappa (B,) or one for all. No
+    direction is singular.
     """
     p = np.asarray(point, dtype=float)
     offset = p[..., None, :] - anchors.position[0]
@@ -52,7 +61,9 @@ def direction_information(point: Array, anchors: Anchors, kappa: float | Array) 
 
 
 def crb(information: Array) -> Array:
-    """Lower bound (..., n, n) m^2 of any unbiased estimator's covariance; NaN where the information is singular."""
+    """Lower bound (..., n, n) m^2 of any unbiased estimator's covariance; NaN where the information
+    is singular.
+    """
     J = np.asarray(information, dtype=float)
     whole = np.isfinite(J).all((-1, -2))
     one = np.eye(J.shape[-1])
@@ -63,11 +74,14 @@ def crb(information: Array) -> Array:
     return np.where(whole[..., None, None], np.linalg.inv(J), np.nan)
 
 
-def gdop(point: Array, anchors: Anchors, axes: Sequence[int] = (0, 1, 2), known_z: bool = False) -> Array:
-    """Position error (...) in m per rad of equal angular deviations: sqrt(tr CRB) at sigma = 1 rad over these axes.
+def gdop(
+    point: Array, anchors: Anchors, axes: Sequence[int] = (0, 1, 2), known_z: bool = False
+) -> Array:
+    """Position error (...) in m per rad of equal angular deviations: sqrt(tr CRB) at sigma = 1 rad
+    over these axes.
 
-    With `known_z` the third row and column of the information are left out [Boquet 2024, (28) and A.1]; the axes are
-    then x and y.
+    With `known_z` the third row and column of the information are left out [Boquet 2024, (28) and
+    A.1]; the axes are then x and y.
     """
     information = azel_information(point, anchors, 1.0, 1.0)
     bound = crb(information[..., :2, :2] if known_z else information)

@@ -27,7 +27,10 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
         print(f"aoabench: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
-        print("aoabench: interrupted; what was finished is kept, the same command goes on from there", file=sys.stderr)
+        print(
+            "aoabench: interrupted; what was finished is kept, the same command goes on from there",
+            file=sys.stderr,
+        )
         sys.exit(130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -38,7 +41,9 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser whose complaint is one line."""
 
     def error(self, message: str) -> NoReturn:
-        raise UserError(f"{self.prog.partition(' ')[2] or 'command'}: {message}; see `{self.prog} --help`")
+        raise UserError(
+            f"{self.prog.partition(' ')[2] or 'command'}: {message}; see `{self.prog} --help`"
+        )
 
 
 def dispatch(arguments: Sequence[str]) -> int:
@@ -83,7 +88,7 @@ aoabench: Monte Carlo benchmark of angle-of-arrival (AoA) positioning
 RUN is the folder of a run (runner.out). Exit status: 0 done, 2 a mistake in the input, 1 anything else."""
 
 
-# --- run --------------------------------------------------------------------------------------------------------------
+# --- run ------------------------------------------------------------------------------------------
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -105,14 +110,21 @@ def run(arguments: Sequence[str]) -> int:
         print(_run_help(given.config_dir))
         return 0
     if given.cfg:
-        print(composing.show(overrides, given.config_dir, given.resolve, given.package, given.multirun), end="")
+        print(
+            composing.show(
+                overrides, given.config_dir, given.resolve, given.package, given.multirun
+            ),
+            end="",
+        )
         return 0
     cells = composing.compose_cells(overrides, config_dir=given.config_dir, sweep=given.multirun)
     for line in dict.fromkeys(line for cell in cells for line in cell.notes):
         print(line, file=sys.stderr)
     done = runner.run(cells)
     _print_run(done, cells)
-    for cell in {cell.id: cell for cell in cells if getattr(cell.scenario, "recorded", None) is not None}.values():
+    for cell in {
+        cell.id: cell for cell in cells if getattr(cell.scenario, "recorded", None) is not None
+    }.values():
         _draw_recording(done.out, cell)
     if given.worst:
         _print_worst(done.out, cells, given.worst)
@@ -126,7 +138,9 @@ def _draw_recording(out: Path, cell: Any) -> None:
 
     scenario = cell.scenario
     truth, anchors = scenario.truth(None)[:, :2], scenario.known_anchors.position[0, :, :2]
-    for path in campaign.write(out, cell.id, list(cell.estimators), truth, anchors, scenario.bounds_m):
+    for path in campaign.write(
+        out, cell.id, list(cell.estimators), truth, anchors, scenario.bounds_m
+    ):
         print(f"figure: {path}")
 
 
@@ -160,7 +174,9 @@ def _run_help(config_dir: str | None) -> str:
     from aoabench import composing
     from aoabench.config import GROUPS, options
 
-    listed = "\n".join(f"{group}: {', '.join(options(group, config_dir)) or '(none yet)'}" for group in GROUPS)
+    listed = "\n".join(
+        f"{group}: {', '.join(options(group, config_dir)) or '(none yet)'}" for group in GROUPS
+    )
     return _RUN_HELP.format(options=listed, config=composing.show([], config_dir))
 
 
@@ -177,7 +193,11 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
     asked = {(c.id, name) for c in cells for name in c.estimators}
     mine = summary[[pair in asked for pair in zip(summary["cell"], summary["estimator"])]]
     table = pd.read_parquet(out / "cells.parquet")
-    extra = [c for c in table.columns if c not in ("experiment", "scenario", "noise", "seed", "estimators", "config")]
+    extra = [
+        c
+        for c in table.columns
+        if c not in ("experiment", "scenario", "noise", "seed", "estimators", "config")
+    ]
     mine = mine.merge(table[extra], on="cell")
     swept = [c for c in extra if c != "cell" and mine[c].nunique(dropna=False) > 1]
     shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
@@ -187,19 +207,27 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
     shown["fixes ok"] = [f"{v:.2%}" for v in mine["share_ok"]]
     print(shown.to_string(index=False, max_rows=60))
     failures = pd.read_parquet(out / "failures.parquet")
-    told = failures.loc[[pair in asked for pair in zip(failures["cell"], failures["estimator"])], "error"].dropna()
+    told = failures.loc[
+        [pair in asked for pair in zip(failures["cell"], failures["estimator"])], "error"
+    ].dropna()
     if len(told):
-        print(f"exceptions and NaN in {len(told)} replications, e.g. {told.iloc[0]}; see {out}/failures.parquet")
+        print(
+            f"exceptions and NaN in {len(told)} replications, e.g. {told.iloc[0]}; see {out}/failures.parquet"
+        )
     if done.precision:
         _print_precision(done.precision)
-    print(f"tables: {out}/{{tidy,replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})")
+    print(
+        f"tables: {out}/{{tidy,replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})"
+    )
 
 
 def _print_precision(rows: Sequence[Any]) -> None:
     """What was asked for with until.*, and what was reached."""
     first, short = rows[0], [row for row in rows if not row["reached"]]
     wanted = [f"{first['wanted_se']:g}"] if first["wanted_se"] else []
-    wanted += [f"{first['wanted_relative_se']:.3g} of the mean"] if first["wanted_relative_se"] else []
+    wanted += (
+        [f"{first['wanted_relative_se']:.3g} of the mean"] if first["wanted_relative_se"] else []
+    )
     print(
         f"{first['metric']} until its standard error is at most {' and '.join(wanted)}: reached by "
         f"{len(rows) - len(short)} of {len(rows)} (precision.parquet)"
@@ -212,7 +240,9 @@ def _print_precision(rows: Sequence[Any]) -> None:
 
 
 def _print_worst(out: Path, cells: Sequence[Any], n: int) -> None:
-    """The worst replications: those without a position first, then by their RMSE; how many medians that is."""
+    """The worst replications: those without a position first, then by their RMSE; how many medians
+    that is.
+    """
     from aoabench import tables
 
     frame = tables.load(out)
@@ -220,19 +250,31 @@ def _print_worst(out: Path, cells: Sequence[Any], n: int) -> None:
     frame = frame[[pair in asked for pair in zip(frame["cell"], frame["estimator"])]]
     median = frame.groupby(["cell", "estimator"])["rmse_3d_m"].transform("median")
     frame = frame.assign(times=frame["rmse_3d_m"] / median)
-    worst = frame.sort_values("rmse_3d_m", ascending=False, na_position="first", kind="stable").head(n)
+    worst = frame.sort_values(
+        "rmse_3d_m", ascending=False, na_position="first", kind="stable"
+    ).head(n)
     by_id = {c.id: c for c in cells}
     print(f"the {len(worst)} worst replications, by RMSE 3-D:")
     for row in worst.to_dict("records"):
         cell = by_id[row["cell"]]
-        error = "no position" if row["rmse_3d_m"] != row["rmse_3d_m"] else f"{row['rmse_3d_m']:.4g} m"
-        times = f", {row['times']:.3g} times its estimator's median" if row["times"] == row["times"] else ""
-        print(f"  {row['noise']} {row['estimator']} replication {row['replication']}: {error}{times}, {row['outcome']}")
-        again = tables.replay_command(out, row["cell"], row["estimator"], row["replication"], cell.config, cell.plugins)
+        error = (
+            "no position" if row["rmse_3d_m"] != row["rmse_3d_m"] else f"{row['rmse_3d_m']:.4g} m"
+        )
+        times = (
+            f", {row['times']:.3g} times its estimator's median"
+            if row["times"] == row["times"]
+            else ""
+        )
+        print(
+            f"  {row['noise']} {row['estimator']} replication {row['replication']}: {error}{times}, {row['outcome']}"
+        )
+        again = tables.replay_command(
+            out, row["cell"], row["estimator"], row["replication"], cell.config, cell.plugins
+        )
         print(f"    {again}")
 
 
-# --- studies ----------------------------------------------------------------------------------------------------------
+# --- studies --------------------------------------------------------------------------------------
 
 
 def reproduce(arguments: Sequence[str]) -> int:
@@ -241,7 +283,9 @@ def reproduce(arguments: Sequence[str]) -> int:
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
 
-    parser = _Parser(prog="aoabench reproduce", description="Regenerate the tables and figures of the studies.")
+    parser = _Parser(
+        prog="aoabench reproduce", description="Regenerate the tables and figures of the studies."
+    )
     parser.add_argument("study", nargs="*", help="all if none is named")
     parser.add_argument(
         "--scale",
@@ -252,7 +296,9 @@ def reproduce(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", metavar="ITEM", help="one table or figure, e.g. table1")
     _results_options(parser)
     given = parser.parse_args(list(arguments))
-    reproducing.reproduce(given.study, given.scale, given.only, Path(given.results), print, _formats(given))
+    reproducing.reproduce(
+        given.study, given.scale, given.only, Path(given.results), print, _formats(given)
+    )
     return 0
 
 
@@ -262,7 +308,9 @@ def report(arguments: Sequence[str]) -> int:
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
 
-    parser = _Parser(prog="aoabench report", description="Draw figures and page again from the stored tables.")
+    parser = _Parser(
+        prog="aoabench report", description="Draw figures and page again from the stored tables."
+    )
     _results_options(parser)
     given = parser.parse_args(list(arguments))
     reproducing.draw(reproducing.all_studies(), Path(given.results), print, formats=_formats(given))
@@ -270,27 +318,42 @@ def report(arguments: Sequence[str]) -> int:
 
 
 def _results_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--results", default="results", help="folder of tables, figures and page (default: results)")
-    parser.add_argument("--format", choices=["pdf", "svg"], help="figures in this format too, beside the PNG")
+    parser.add_argument(
+        "--results", default="results", help="folder of tables, figures and page (default: results)"
+    )
+    parser.add_argument(
+        "--format", choices=["pdf", "svg"], help="figures in this format too, beside the PNG"
+    )
 
 
 def _formats(given: argparse.Namespace) -> list[str]:
     return ["png", given.format] if given.format else ["png"]
 
 
-# --- reading a run ----------------------------------------------------------------------------------------------------
+# --- reading a run --------------------------------------------------------------------------------
 
 
 def compare(arguments: Sequence[str]) -> int:
-    """`aoabench compare`: paired differences between the estimators of each cell, printed and kept beside the run."""
+    """`aoabench compare`: paired differences between the estimators of each cell, printed and kept
+    beside the run.
+    """
     from aoabench import comparing
     from aoabench.store import write_frame
 
-    parser = _Parser(prog="aoabench compare", description="Paired comparison of estimators over the replications.")
-    parser.add_argument("run", help="folder of a run (runner.out); the table is kept there as compare.parquet")
-    parser.add_argument("--baseline", help="estimator to compare with (default: the smallest mean of each cell)")
+    parser = _Parser(
+        prog="aoabench compare",
+        description="Paired comparison of estimators over the replications.",
+    )
+    parser.add_argument(
+        "run", help="folder of a run (runner.out); the table is kept there as compare.parquet"
+    )
+    parser.add_argument(
+        "--baseline", help="estimator to compare with (default: the smallest mean of each cell)"
+    )
     names = ", ".join(comparing.METRICS)
-    parser.add_argument("--metric", default="rmse_3d_m", help=f"one of {names} (default: rmse_3d_m)")
+    parser.add_argument(
+        "--metric", default="rmse_3d_m", help=f"one of {names} (default: rmse_3d_m)"
+    )
     given = parser.parse_args(list(arguments))
     table = comparing.compare(given.run, given.baseline, given.metric)
     print("\n".join(comparing.lines(table)))
@@ -305,7 +368,10 @@ def collect(arguments: Sequence[str]) -> int:
     """`aoabench collect`: make the tables of a run again from its parts."""
     from aoabench import store, tables
 
-    parser = _Parser(prog="aoabench collect", description="Make the tables of a run from its parts; every run does so.")
+    parser = _Parser(
+        prog="aoabench collect",
+        description="Make the tables of a run from its parts; every run does so.",
+    )
     parser.add_argument("run", help="folder of a run (runner.out)")
     given = parser.parse_args(list(arguments))
     out = Path(given.run)
@@ -325,12 +391,16 @@ def replay(arguments: Sequence[str]) -> int:
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
 
-    parser = _Parser(prog="aoabench replay", description="Repeat one replication of a run with its trace.")
+    parser = _Parser(
+        prog="aoabench replay", description="Repeat one replication of a run with its trace."
+    )
     parser.add_argument("run", help="folder of a run (runner.out)")
     parser.add_argument("--replication", type=int, required=True, help="its number, >= 0")
     parser.add_argument("--estimator", required=True, help="name of the estimator")
     parser.add_argument("--cell", help="cell of the run, if it has several")
-    parser.add_argument("--plugins", default="", help="packages of your own that the run used, with commas")
+    parser.add_argument(
+        "--plugins", default="", help="packages of your own that the run used, with commas"
+    )
     formats = "measurements and anchors too, as files that scenario=recorded reads"
     parser.add_argument("--export", choices=["csv", "parquet"], help=formats)
     given = parser.parse_args(list(arguments))

@@ -1,8 +1,9 @@
-"""Paired comparison of the estimators of a run: a table in which every line says what was seen, and how surely.
+"""Paired comparison of the estimators of a run: a table in which every line says what was seen, and
+how surely.
 
-Pairs are replications, which all estimators see with the same draws. Where replications share their positions, RMSE and
-iterations are clustered by position, as in the summary. p-values are adjusted by Holm's method for all comparisons of
-the table.
+Pairs are replications, which all estimators see with the same draws. Where replications share their
+positions, RMSE and iterations are clustered by position, as in the summary. p-values are adjusted
+by Holm's method for all comparisons of the table.
 """
 
 from __future__ import annotations
@@ -36,16 +37,21 @@ IDENTITY = ("cell", "scenario", "noise")
 NONE_SEEN, EQUAL, TOO_FEW, NO_VALUES = "no difference seen", "equal", "too few", "no values"
 
 
-def compare(run: str | os.PathLike[str], baseline: str | None = None, metric: str = "rmse_3d_m") -> pd.DataFrame:
-    """A row per estimator and cell of a run, compared with `baseline` (none: the smallest mean of each cell).
+def compare(
+    run: str | os.PathLike[str], baseline: str | None = None, metric: str = "rmse_3d_m"
+) -> pd.DataFrame:
+    """A row per estimator and cell of a run, compared with `baseline` (none: the smallest mean of
+    each cell).
 
-    Columns: cell, scenario, noise, what differs between cells; metric, estimator, baseline; n pairs of `of`
-    replications; mean, baseline_mean; change (of the mean against the baseline's, in `unit`: %, percentage points, or
-    the metric's own) with its 95 % interval change_low, change_high; p, p_holm; verdict; by (what is taken as
-    independent) and units (how many); needed (units that would show 1 %, with probability 0.8); text (the line).
+    Columns: cell, scenario, noise, what differs between cells; metric, estimator, baseline; n pairs
+    of `of` replications; mean, baseline_mean; change (of the mean against the baseline's, in
+    `unit`: %, percentage points, or the metric's own) with its 95 % interval change_low,
+    change_high; p, p_holm; verdict; by (what is taken as independent) and units (how many); needed
+    (units that would show 1 %, with probability 0.8); text (the line).
 
-    Where the data pick the baseline, Holm's method counts all pairs of a cell, printed or not. Raises UserError for a
-    run, metric or baseline that is not there, and RunError where parts have vanished that the intervals need.
+    Where the data pick the baseline, Holm's method counts all pairs of a cell, printed or not.
+    Raises UserError for a run, metric or baseline that is not there, and RunError where parts have
+    vanished that the intervals need.
     """
     import pandas as pd
 
@@ -84,7 +90,9 @@ def compare(run: str | os.PathLike[str], baseline: str | None = None, metric: st
     table["p_holm"] = intervals.holm(p)[: len(table)]
     comparisons = int(np.isfinite(p).sum())
     said = [_judge(row, comparisons) for row in table.to_dict("records")]
-    table[["verdict", "needed", "text"]] = pd.DataFrame(said, columns=["verdict", "needed", "text"], dtype=object)
+    table[["verdict", "needed", "text"]] = pd.DataFrame(
+        said, columns=["verdict", "needed", "text"], dtype=object
+    )
     table["needed"] = table["needed"].astype(float)
     table.attrs |= {"comparisons": comparisons, "left_out": left_out}
     return table.drop(columns="pair")
@@ -99,7 +107,9 @@ COLUMNS = (
 def _of_cell(
     run: Path, cell: str, rows: pd.DataFrame, baseline: str | None, metric: str, shared: bool
 ) -> Iterator[dict[str, Any]]:
-    """The comparisons with the baseline, by their means; then, of a baseline that the data pick, the other pairs."""
+    """The comparisons with the baseline, by their means; then, of a baseline that the data pick,
+    the other pairs.
+    """
     wide = rows.pivot(index="replication", columns="estimator", values=metric)
     means = wide.mean().sort_values()  # those without any value come last
     base = str(means.index[0]) if baseline is None else baseline
@@ -107,7 +117,12 @@ def _of_cell(
     for name in means.index:
         if name != base:
             levels = {"mean": means[name], "baseline_mean": means[base], "of": len(wide)}
-            yield {"estimator": name, "baseline": base, **levels, **_numbers(*pair_up(name, base), metric)}
+            yield {
+                "estimator": name,
+                "baseline": base,
+                **levels,
+                **_numbers(*pair_up(name, base), metric),
+            }
     if baseline is None:
         for a, b in combinations([n for n in means.index if n != base], 2):
             yield {"p": pair_up(a, b)[0].p_value}
@@ -125,7 +140,9 @@ def _pairing(
             sums = tables.clusters(run, cell, name, kept)
             found = None if sums is None else sums.influence(metric)
             if found is None:
-                raise RunError(f"{run}: the fixes of {name} in cell {cell} are gone; run the same command again")
+                raise RunError(
+                    f"{run}: the fixes of {name} in cell {cell} are gone; run the same command again"
+                )
             known[key] = found
         return known[key]
 
@@ -136,7 +153,9 @@ def _pairing(
         if not clustered or both.empty:
             return statistics.paired(both[a], both[b]), "replication"
         kept = both.index.to_numpy()
-        return statistics.paired(both[a], both[b], (influence(a, kept), influence(b, kept))), "position"
+        return statistics.paired(
+            both[a], both[b], (influence(a, kept), influence(b, kept))
+        ), "position"
 
     return pair_up
 
@@ -144,9 +163,13 @@ def _pairing(
 def _numbers(pair: Paired, by: str, metric: str) -> dict[str, Any]:
     """The columns of one comparison."""
     relative = math.isfinite(pair.percent.value)
-    change, (low, high) = (pair.percent, pair.percent_interval()) if relative else (pair.difference, pair.interval())
+    change, (low, high) = (
+        (pair.percent, pair.percent_interval()) if relative else (pair.difference, pair.interval())
+    )
     own = metric.rpartition("_")[2] if metric.endswith("_m") else ""
-    value = 100 * pair.difference.value if metric == FAILURES else change.value  # the interval is about a shrunken one
+    value = (
+        100 * pair.difference.value if metric == FAILURES else change.value
+    )  # the interval is about a shrunken one
     return {
         "n": pair.n, "change": value, "change_low": low, "change_high": high,
         "unit": "percentage points" if metric == FAILURES else "%" if relative else own,
@@ -156,18 +179,34 @@ def _numbers(pair: Paired, by: str, metric: str) -> dict[str, Any]:
 
 def words(metric: str) -> tuple[str, str]:
     """What an estimator is called whose values are smaller, or larger, than another one's."""
-    return ("better", "worse") if metric.startswith("rmse") or metric == FAILURES else ("lower", "higher")
+    return (
+        ("better", "worse")
+        if metric.startswith("rmse") or metric == FAILURES
+        else ("lower", "higher")
+    )
 
 
 def _judge(row: Mapping[Any, Any], comparisons: int) -> tuple[str, float, str]:
     """Verdict, units that would show 1 %, and the line of one comparison."""
     a, b, metric, n, pair = row["estimator"], row["baseline"], row["metric"], row["n"], row["pair"]
-    empty = [name for name, value in ((a, row["mean"]), (b, row["baseline_mean"])) if math.isnan(value)]
+    empty = [
+        name for name, value in ((a, row["mean"]), (b, row["baseline_mean"])) if math.isnan(value)
+    ]
     if empty:
-        return NO_VALUES, math.nan, f"{a} and {b} cannot be compared: no {metric} of {' and '.join(empty)}"
+        return (
+            NO_VALUES,
+            math.nan,
+            f"{a} and {b} cannot be compared: no {metric} of {' and '.join(empty)}",
+        )
     if math.isnan(row["p"]):
-        return TOO_FEW, math.nan, f"{a} and {b} cannot be compared: too few pairs with a value, N = {n}"
-    count = f"N = {n}" + (f" (only {n} of {row['of']} replications have both)" if n < row["of"] else "")
+        return (
+            TOO_FEW,
+            math.nan,
+            f"{a} and {b} cannot be compared: too few pairs with a value, N = {n}",
+        )
+    count = f"N = {n}" + (
+        f" (only {n} of {row['of']} replications have both)" if n < row["of"] else ""
+    )
     if pair.difference.value == 0 == pair.difference.se:
         return EQUAL, math.nan, f"{a} is equal to {b} in every replication, {count}"
     ratio = row["unit"] in ("%", "percentage points")
@@ -176,7 +215,11 @@ def _judge(row: Mapping[Any, Any], comparisons: int) -> tuple[str, float, str]:
     p = f"p {'= ' if row['p_holm'] > 0 else '< '}{max(row['p_holm'], 1e-300):.2g} (Holm)"
     if row["p_holm"] < LEVEL:
         smaller = row["change"] < 0
-        ends = (-row["change_high"], -row["change_low"]) if smaller else (row["change_low"], row["change_high"])
+        ends = (
+            (-row["change_high"], -row["change_low"])
+            if smaller
+            else (row["change_low"], row["change_high"])
+        )
         value, low, high = rounded(abs(row["change"]), *ends)
         says = words(metric)[0 if smaller else 1]
         return says, need, f"{a} is {says} than {b} by {value}{unit} [{low}, {high}], {p}, {count}"
@@ -189,14 +232,18 @@ def _judge(row: Mapping[Any, Any], comparisons: int) -> tuple[str, float, str]:
     if need <= row["units"]:
         return NONE_SEEN, need, f"{line}; this many would show {one}"
     unit_count = f"{np.format_float_positional(need, 2, fractional=False, trim='-')}"
-    about = f"about N = {unit_count}" if row["by"] == "replication" else f"about {unit_count} positions"
+    about = (
+        f"about N = {unit_count}" if row["by"] == "replication" else f"about {unit_count} positions"
+    )
     return NONE_SEEN, need, f"{line}; {about} would show {one}"
 
 
 def rounded(value: float, low: float, high: float, sign: str = "") -> tuple[str, str, str]:
     """A value and its interval to two digits of the interval's half-width."""
     half = (high - low) / 2
-    digits = min(max(1 - math.floor(math.log10(half)), 0), 9) if half > 0 and math.isfinite(half) else 6
+    digits = (
+        min(max(1 - math.floor(math.log10(half)), 0), 9) if half > 0 and math.isfinite(half) else 6
+    )
     return tuple(f"{v:{sign}.{digits}f}" for v in (value, low, high))  # type: ignore[return-value]
 
 
@@ -207,18 +254,34 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
     for cell, rows in table.groupby("cell", sort=False):
         first = rows.iloc[0]
         where = "".join(f" {c}={first[c]}" for c in varied)
-        by = next((f", clustered by {u} positions" for u, b in zip(rows["units"], rows["by"]) if b == "position"), "")
+        by = next(
+            (
+                f", clustered by {u} positions"
+                for u, b in zip(rows["units"], rows["by"])
+                if b == "position"
+            ),
+            "",
+        )
         yield ""
-        level = "" if math.isnan(first["baseline_mean"]) else f", {first['baseline']} = {first['baseline_mean']:.4g}"
+        level = (
+            ""
+            if math.isnan(first["baseline_mean"])
+            else f", {first['baseline']} = {first['baseline_mean']:.4g}"
+        )
         yield f"{first['scenario']} {first['noise']}{where} (cell {cell}), {first['metric']}{level}{by}"
         yield from (f"  {text}" for text in rows["text"])
     if table.attrs["left_out"]:
         yield ""
-        yield from (f"cell {cell}: nothing to compare, {why} here" for cell, why in table.attrs["left_out"].items())
+        yield from (
+            f"cell {cell}: nothing to compare, {why} here"
+            for cell, why in table.attrs["left_out"].items()
+        )
     m = table.attrs["comparisons"]
     if m:
         among = (
-            "comparisons" if m == np.isfinite(table["p"]).sum() else "pairs, as the data picked what to compare with"
+            "comparisons"
+            if m == np.isfinite(table["p"]).sum()
+            else "pairs, as the data picked what to compare with"
         )
         yield ""
         yield f"95 % intervals, each by itself; p by Holm's method over the {m} {among}."

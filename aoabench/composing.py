@@ -1,7 +1,8 @@
-"""Composing with Hydra: overrides to cells, what a config from outside may set, Hydra's errors in one clear line.
+"""Composing with Hydra: overrides to cells, what a config from outside may set, Hydra's errors in
+one clear line.
 
-Only Hydra's compose API is used: no callbacks, launchers, logging configuration or reruns of Hydra's own, whose
-`_target_`s would run code before ours could look at them.
+Only Hydra's compose API is used: no callbacks, launchers, logging configuration or reruns of
+Hydra's own, whose `_target_`s would run code before ours could look at them.
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ def compose_cells(
     extra: Mapping[str, Any] | None = None,
     sweep: bool = True,
 ) -> list[Cell]:
-    """The cells of a (multi)run given as command-line overrides; commas and the experiment's own sweep expand.
+    """The cells of a (multi)run given as command-line overrides; commas and the experiment's own
+    sweep expand.
 
-    Without `sweep` there is one cell, and a comma is the user's mistake. Raises UserError for every mistake.
+    Without `sweep` there is one cell, and a comma is the user's mistake. Raises UserError for every
+    mistake.
     """
     from hydra import compose
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -42,7 +45,9 @@ def compose_cells(
         for override in parsed:
             _refuse_hydra(str(override.input_line))
             if override.is_sweep_override() and not sweep:
-                raise UserError(f"{override.input_line}: several values are a sweep; add -m, or brackets for one list")
+                raise UserError(
+                    f"{override.input_line}: several values are a sweep; add -m, or brackets for one list"
+                )
         typed = [str(o.key_or_group) for o in parsed]
         plain = [str(o.input_line) for o in parsed if not o.is_sweep_override()]
         jobs = [plain]
@@ -52,10 +57,14 @@ def compose_cells(
             for line in own:
                 _refuse_hydra(line)
                 if parse_plugins([line]):
-                    raise UserError(f"{line}: only plugins=[...] on the command line can name plugins")
+                    raise UserError(
+                        f"{line}: only plugins=[...] on the command line can name plugins"
+                    )
             jobs = BasicSweeper.split_arguments(parser.parse_overrides([*own, *overrides]), None)[0]
         if not jobs:
-            raise UserError(f"{' '.join(overrides)}: the sweep is empty; allowed: at least one value for each key")
+            raise UserError(
+                f"{' '.join(overrides)}: the sweep is empty; allowed: at least one value for each key"
+            )
         cells = []
         for job in jobs:
             cfg = compose("config", overrides=job, return_hydra_config=True)
@@ -72,7 +81,9 @@ def show(
     package: str = "",
     sweep: bool = False,
 ) -> str:
-    """The composed config as YAML, or one dotted part of it; of a `sweep` what all its jobs have in common."""
+    """The composed config as YAML, or one dotted part of it; of a `sweep` what all its jobs have in
+    common.
+    """
     from hydra import compose
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -81,13 +92,17 @@ def show(
     with hydra_initialised(config_dir), explained(overrides, config_dir):
         for override in overrides:
             _refuse_hydra(override)
-        parsed = OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(list(overrides))
+        parsed = OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(
+            list(overrides)
+        )
         plain = [str(o.input_line) for o in parsed if not (sweep and o.is_sweep_override())]
         cfg = compose("config", overrides=plain)
         part = OmegaConf.select(cfg, package) if package else cfg
         if part is None:
             raise UserError(f"--package={package}: no such part of the config")
-        return OmegaConf.to_yaml(part, resolve=resolve) if OmegaConf.is_config(part) else f"{part}\n"
+        return (
+            OmegaConf.to_yaml(part, resolve=resolve) if OmegaConf.is_config(part) else f"{part}\n"
+        )
 
 
 def _cell(
@@ -111,17 +126,28 @@ def _cell(
     raw: Any = OmegaConf.to_container(node, resolve=False)
     choices = dict(cfg.hydra.runtime.choices)
     changed = _changed(raw, plain, config_dir)
-    return build(plain, choices, overrides=job, typed=typed, plugins=plugins, changed=changed, extra=extra)
+    return build(
+        plain, choices, overrides=job, typed=typed, plugins=plugins, changed=changed, extra=extra
+    )
 
 
-def _changed(raw: Mapping[str, Any], plain: Mapping[str, Any], config_dir: str | None) -> dict[str, Any]:
+def _changed(
+    raw: Mapping[str, Any], plain: Mapping[str, Any], config_dir: str | None
+) -> dict[str, Any]:
     """Estimators' parameters, dotted, whose values differ from their presets' own."""
     from hydra import compose
     from omegaconf import OmegaConf
 
-    given = {group: raw[group] for group in ("filter", "estimator") if isinstance(raw.get(group), dict)}
-    presets = {group: [n for n in nodes if n in options(group, config_dir)] for group, nodes in given.items()}
-    cfg = compose("config", overrides=[f"{group}=[{','.join(names)}]" for group, names in presets.items()])
+    given = {
+        group: raw[group] for group in ("filter", "estimator") if isinstance(raw.get(group), dict)
+    }
+    presets = {
+        group: [n for n in nodes if n in options(group, config_dir)]
+        for group, nodes in given.items()
+    }
+    cfg = compose(
+        "config", overrides=[f"{group}=[{','.join(names)}]" for group, names in presets.items()]
+    )
     default = dict(flatten(OmegaConf.to_container(cfg, resolve=False)))
     resolved = dict(flatten(plain))
     return {
@@ -131,12 +157,14 @@ def _changed(raw: Mapping[str, Any], plain: Mapping[str, Any], config_dir: str |
     }
 
 
-# --- Hydra, kept to composing -----------------------------------------------------------------------------------------
+# --- Hydra, kept to composing ---------------------------------------------------------------------
 
 
 @contextmanager
 def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
-    """Hydra's compose API over the shipped configs, a user's own (checked) appended to the search path."""
+    """Hydra's compose API over the shipped configs, a user's own (checked) appended to the search
+    path.
+    """
     from hydra._internal.hydra import Hydra
     from hydra._internal.utils import create_config_search_path
     from hydra.core.config_search_path import SearchPathQuery
@@ -150,7 +178,11 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
     setbase("1.3")
     path = create_config_search_path(str(shipped("configs")))
     if config_dir:
-        path.prepend("command-line", f"file://{Path(config_dir).resolve()}", SearchPathQuery(provider="schema"))
+        path.prepend(
+            "command-line",
+            f"file://{Path(config_dir).resolve()}",
+            SearchPathQuery(provider="schema"),
+        )
     Hydra.create_main_hydra2(task_name="aoabench", config_search_path=path)
     try:
         yield
@@ -159,26 +191,33 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
 
 
 def _refuse_hydra(override: str) -> None:
-    """Raise UserError for an override that reaches Hydra's own node, or a file that was not looked at."""
+    """Raise UserError for an override that reaches Hydra's own node, or a file that was not looked
+    at.
+    """
     key, _, value = override.partition("=")
     parts = [part.strip(" +~/") for part in key.replace("@", " ").replace(":", " ").split()]
     if any(part.split(".")[0].split("/")[0] == "hydra" for part in parts):
-        raise UserError(f"{override}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE")
+        raise UserError(
+            f"{override}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE"
+        )
     if parts and "." not in parts[0] and (".." in value or "${" in value):
         raise UserError(f"{override}: the name of a preset is needed; allowed: see `aoabench list`")
 
 
 def refuse_foreign_hydra(config_dir: str | None) -> None:
-    """Raise UserError if a config from outside sets anything under `hydra` but the sweeper's params, or plugins.
+    """Raise UserError if a config from outside sets anything under `hydra` but the sweeper's
+    params, or plugins.
 
-    Read before Hydra starts; links are followed, as Hydra follows them. Files outside the config groups are not meant
-    for us, but Hydra could reach them: they only have to leave `hydra` alone.
+    Read before Hydra starts; links are followed, as Hydra follows them. Files outside the config
+    groups are not meant for us, but Hydra could reach them: they only have to leave `hydra` alone.
     """
     if config_dir is None:
         return
     root = Path(config_dir)
     if not root.is_dir():
-        raise UserError(f"--config-dir={config_dir}: no such folder; allowed: a folder with {', '.join(GROUPS)} in it")
+        raise UserError(
+            f"--config-dir={config_dir}: no such folder; allowed: a folder with {', '.join(GROUPS)} in it"
+        )
     if (root / "hydra").exists() or (root / "hydra").is_symlink():
         raise UserError(f"--config-dir={config_dir}: a folder 'hydra' is not allowed in it")
     for folder, _, files in os.walk(root, followlinks=True):
@@ -189,7 +228,9 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
 
 
 def _check_file(file: Path, group: str | None) -> None:
-    """Raise UserError for what a file may not hold; `group` is the config group that it is in, if any."""
+    """Raise UserError for what a file may not hold; `group` is the config group that it is in, if
+    any.
+    """
     import yaml
 
     allowed = "a config may only set hydra.sweeper.params, and no plugins"
@@ -202,8 +243,14 @@ def _check_file(file: Path, group: str | None) -> None:
         raise UserError(f"{file}: not plain YAML: {_first_line(error)}") from None
     for line in text.splitlines():
         words = line.strip().lstrip("#").split()
-        if line.strip().startswith("#") and words[:1] == ["@package"] and words[1:] not in (["_global_"], ["_group_"]):
-            raise UserError(f"{file}: {line.strip()!r} is not allowed; allowed: # @package _global_")
+        if (
+            line.strip().startswith("#")
+            and words[:1] == ["@package"]
+            and words[1:] not in (["_global_"], ["_group_"])
+        ):
+            raise UserError(
+                f"{file}: {line.strip()!r} is not allowed; allowed: # @package _global_"
+            )
     for node in nodes:
         for bad in _foreign_settings(node):
             if group or "hydra" in bad:
@@ -215,7 +262,9 @@ def _check_file(file: Path, group: str | None) -> None:
     if group in ("filter", "estimator"):
         keys = [key for node in nodes if isinstance(node, dict) for key in node]
         if keys != [file.stem]:
-            raise UserError(f"{file}: holds {', '.join(map(str, keys)) or 'nothing'}; allowed: one key, {file.stem!r}")
+            raise UserError(
+                f"{file}: holds {', '.join(map(str, keys)) or 'nothing'}; allowed: one key, {file.stem!r}"
+            )
 
 
 def _foreign_settings(node: Any) -> Iterator[str]:
@@ -226,7 +275,9 @@ def _foreign_settings(node: Any) -> Iterator[str]:
         name = str(key)
         if name == "defaults":
             for entry in value if isinstance(value, list) else [value]:
-                target, chosen = next(iter(entry.items())) if isinstance(entry, dict) and entry else (entry, "")
+                target, chosen = (
+                    next(iter(entry.items())) if isinstance(entry, dict) and entry else (entry, "")
+                )
                 words = str(target).split()
                 plain = words[-1] if words else ""
                 group = plain.lstrip("/").partition("/")[0]
@@ -245,13 +296,17 @@ def _foreign_hydra(node: Any) -> Iterator[str]:
         parts = leaf.split(".")
         key = ".".join(parts[3:]).lstrip("+~ ")
         swept = parts[:3] == ["hydra", "sweeper", "params"] and len(parts) > 3
-        if not swept or key.split(".")[0].split("/")[0].split("@")[0] in ("hydra", "plugins") or "@" in key:
+        if (
+            not swept
+            or key.split(".")[0].split("/")[0].split("@")[0] in ("hydra", "plugins")
+            or "@" in key
+        ):
             yield leaf
         elif isinstance(value, dict | list):
             yield f"{leaf}: {value}"
 
 
-# --- one clear line ---------------------------------------------------------------------------------------------------
+# --- one clear line -------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -266,8 +321,14 @@ def explained(overrides: Sequence[str], config_dir: str | None = None) -> Iterat
         raise
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_explain(error, overrides, config_dir)) from None
-    except (ValueError, TypeError, AssertionError) as error:  # Hydra's own: noise=null, range(1,5,0)
-        raise UserError(f"{' '.join(overrides)}: cannot be composed: {_first_line(error)}") from None
+    except (
+        ValueError,
+        TypeError,
+        AssertionError,
+    ) as error:  # Hydra's own: noise=null, range(1,5,0)
+        raise UserError(
+            f"{' '.join(overrides)}: cannot be composed: {_first_line(error)}"
+        ) from None
 
 
 def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None) -> str:
@@ -285,13 +346,17 @@ def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None)
     for override in overrides:
         key = override.partition("=")[0].lstrip("+~")
         if f"'{key}'" in text or f"full_key: {key}" in text:
-            chosen = [o.partition(",")[0] for o in overrides if o.startswith("scenario=")]  # the first of a sweep
+            chosen = [
+                o.partition(",")[0] for o in overrides if o.startswith("scenario=")
+            ]  # the first of a sweep
             return f"{override}: {_about_key(key, chosen, config_dir)}"
     return f"{' '.join(overrides)}: {_first_line(error)}"
 
 
 def _about_key(key: str, chosen: Sequence[str], config_dir: str | None) -> str:
-    """Why a key given on the command line does not exist; `chosen` are the overrides that name a scenario."""
+    """Why a key given on the command line does not exist; `chosen` are the overrides that name a
+    scenario.
+    """
     head, _, rest = key.partition(".")
     if head in ("filter", "estimator") and rest:
         name = rest.partition(".")[0]
@@ -303,8 +368,12 @@ def _about_key(key: str, chosen: Sequence[str], config_dir: str | None) -> str:
     return f"unknown key {key!r}{hint or '; `aoabench run --cfg job` shows the keys'}"
 
 
-def known_keys(preset: str | None = None, group: str = "filter", chosen: Sequence[str] = ()) -> list[str]:
-    """Dotted keys of the default config, with one preset and what is `chosen`; call it where Hydra is initialised."""
+def known_keys(
+    preset: str | None = None, group: str = "filter", chosen: Sequence[str] = ()
+) -> list[str]:
+    """Dotted keys of the default config, with one preset and what is `chosen`; call it where Hydra
+    is initialised.
+    """
     from hydra import compose
     from omegaconf import OmegaConf
 

@@ -1,4 +1,5 @@
-"""Directional distributions: von Mises-Fisher (VMF) on the sphere, and the flipped normal of azimuth and elevation.
+"""Directional distributions: von Mises-Fisher (VMF) on the sphere, and the flipped normal of
+azimuth and elevation.
 
 Every formula is written so that it neither overflows nor cancels for kappa from 1e-6 to 1e8.
 """
@@ -15,7 +16,9 @@ _SERIES_BELOW = 0.1  # kappa below which power series replace differences of nea
 
 
 def kappa_from_sigma(sigma_azimuth: ArrayLike, sigma_elevation: ArrayLike | None = None) -> Array:
-    """Concentration 1 / max(sigma_azimuth^2, sigma_elevation^2), sigmas (...) rad [Nurminen 2018, (7)]."""
+    """Concentration 1 / max(sigma_azimuth^2, sigma_elevation^2), sigmas (...) rad [Nurminen 2018,
+    (7)].
+    """
     sigma = np.asarray(sigma_azimuth, dtype=float)
     if sigma_elevation is not None:
         sigma = np.maximum(sigma, sigma_elevation)
@@ -27,11 +30,12 @@ def sigma_from_kappa(kappa: ArrayLike) -> Array:
     return 1.0 / np.sqrt(np.asarray(kappa, dtype=float))
 
 
-# --- von Mises-Fisher on the sphere in three dimensions ---------------------------------------------------------------
+# --- von Mises-Fisher on the sphere in three dimensions -------------------------------------------
 
 
 def vmf_logpdf(u: Array, mu: Array, kappa: ArrayLike) -> Array:
-    """Log density (...) per steradian of unit vectors u (..., 3) under VMF(mu (..., 3), kappa (...) >= 0).
+    """Log density (...) per steradian of unit vectors u (..., 3) under VMF(mu (..., 3), kappa (...)
+    >= 0).
 
     [Nurminen 2018, (1)-(2)], with kappa mu.u written as kappa - kappa |u - mu|^2 / 2.
     """
@@ -52,7 +56,9 @@ def vmf_mean_length(kappa: ArrayLike) -> Array:
     """A(kappa) = coth(kappa) - 1 / kappa, the length of the mean vector E[u] = A mu."""
     kappa = np.asarray(kappa, dtype=float)
     k = np.minimum(kappa, _SERIES_BELOW)
-    series = k * (1 / 3 + k**2 * (-1 / 45 + k**2 * (2 / 945 + k**2 * (-1 / 4725 + k**2 * 2 / 93555))))
+    series = k * (
+        1 / 3 + k**2 * (-1 / 45 + k**2 * (2 / 945 + k**2 * (-1 / 4725 + k**2 * 2 / 93555)))
+    )
     large = np.maximum(kappa, _SERIES_BELOW)
     return np.where(kappa < _SERIES_BELOW, series, 1.0 / np.tanh(large) - 1.0 / large)
 
@@ -60,7 +66,8 @@ def vmf_mean_length(kappa: ArrayLike) -> Array:
 def vmf_variances(kappa: ArrayLike) -> tuple[Array, Array]:
     """Variances (tangential, radial) of VMF: cov(u) = t (I - mu mu^T) + r mu mu^T.
 
-    t = A / kappa and r = 1 - 2 A / kappa - A^2 = 1 / kappa^2 - 1 / sinh^2(kappa), the latter being the stable form.
+    t = A / kappa and r = 1 - 2 A / kappa - A^2 = 1 / kappa^2 - 1 / sinh^2(kappa), the latter being
+    the stable form.
     """
     kappa = np.asarray(kappa, dtype=float)
     k = np.minimum(kappa, _SERIES_BELOW)
@@ -82,9 +89,11 @@ def vmf_covariance(mu: Array, kappa: ArrayLike) -> Array:
 
 
 def vmf_sample(rng: np.random.Generator, mu: Array, kappa: ArrayLike) -> Array:
-    """One draw (..., 3) for each mean direction mu (..., 3), kappa (...) > 0, by inverting the cosine's distribution.
+    """One draw (..., 3) for each mean direction mu (..., 3), kappa (...) > 0, by inverting the
+    cosine's distribution.
 
-    With v uniform on [0, 1): 1 - cos(angle) = -log(1 - v (1 - exp(-2 kappa))) / kappa, accurate for any kappa.
+    With v uniform on [0, 1): 1 - cos(angle) = -log(1 - v (1 - exp(-2 kappa))) / kappa, accurate for
+    any kappa.
     """
     shape = mu.shape[:-1]
     kappa = np.asarray(kappa, dtype=float)
@@ -104,7 +113,8 @@ def vmf_sample(rng: np.random.Generator, mu: Array, kappa: ArrayLike) -> Array:
 def vmf_fit(u: Array) -> tuple[Array, float]:
     """Maximum-likelihood mean direction (3,) and concentration from unit vectors (N, 3), N >= 1.
 
-    Solves A(kappa) = |mean of u| by Newton's method in log(kappa). Returns inf when all u are equal.
+    Solves A(kappa) = |mean of u| by Newton's method in log(kappa). Returns inf when all u are
+    equal.
     """
     resultant = np.mean(u, axis=0)
     length = float(np.linalg.norm(resultant))
@@ -121,41 +131,56 @@ def vmf_fit(u: Array) -> tuple[Array, float]:
         gap = 1.0 / kappa - 2.0 / np.expm1(2.0 * kappa) if 1.0 < kappa < 350.0 else None
         if gap is None:
             gap = 1.0 / kappa if kappa >= 350.0 else 1.0 - float(vmf_mean_length(kappa))
-        step = (gap - deficit) / (kappa * float(vmf_variances(kappa)[1]))  # dA/dkappa is the radial variance
+        step = (gap - deficit) / (
+            kappa * float(vmf_variances(kappa)[1])
+        )  # dA/dkappa is the radial variance
         kappa *= float(np.exp(np.clip(step, -1.0, 1.0)))
         if abs(step) < 1e-13:
             break
     return mu, float(kappa)
 
 
-# --- the normal of azimuth and elevation, flipped over the poles ------------------------------------------------------
+# --- the normal of azimuth and elevation, flipped over the poles ----------------------------------
 
 
 def flip(azimuth: Array, elevation: Array) -> tuple[Array, Array]:
-    """The unique representation of directions: azimuth in (-pi, pi], elevation in [-pi/2, pi/2] (...) rad.
+    """The unique representation of directions: azimuth in (-pi, pi], elevation in [-pi/2, pi/2]
+    (...) rad.
 
-    An elevation beyond a pole is flipped to its supplementary angle and its azimuth is turned by pi [Nurminen 2018,
-    Model I]; written for elevations of any size, where the paper's rule covers one flip.
+    An elevation beyond a pole is flipped to its supplementary angle and its azimuth is turned by pi
+    [Nurminen 2018, Model I]; written for elevations of any size, where the paper's rule covers one
+    flip.
     """
     e = wrap(elevation)
     over = np.abs(e) > np.pi / 2
-    return wrap(np.where(over, azimuth + np.pi, azimuth)), np.where(over, np.copysign(np.pi, e) - e, e)
+    return wrap(np.where(over, azimuth + np.pi, azimuth)), np.where(
+        over, np.copysign(np.pi, e) - e, e
+    )
 
 
 def flip_probability(elevation: ArrayLike, sigma: float) -> Array:
-    """Probability (...) that N(elevation (...), sigma^2) rad is flipped; elevation in [-pi/2, pi/2]."""
+    """Probability (...) that N(elevation (...), sigma^2) rad is flipped; elevation in [-pi/2,
+    pi/2].
+    """
     b = np.asarray(elevation, dtype=float)[..., None]
     k = 2 * np.pi * np.arange(_turns(sigma))
-    above = special.ndtr((b - 0.5 * np.pi - k) / sigma) - special.ndtr((b - 1.5 * np.pi - k) / sigma)
-    below = special.ndtr((-b - 0.5 * np.pi - k) / sigma) - special.ndtr((-b - 1.5 * np.pi - k) / sigma)
+    above = special.ndtr((b - 0.5 * np.pi - k) / sigma) - special.ndtr(
+        (b - 1.5 * np.pi - k) / sigma
+    )
+    below = special.ndtr((-b - 0.5 * np.pi - k) / sigma) - special.ndtr(
+        (-b - 1.5 * np.pi - k) / sigma
+    )
     return np.sum(above + below, axis=-1)
 
 
-def flipped_azimuth_std(elevation: ArrayLike, sigma: float, sigma_elevation: float | None = None) -> Array:
-    """Root mean square (...) rad of the wrapped azimuth error of the flipped normal at a true elevation (...) rad.
+def flipped_azimuth_std(
+    elevation: ArrayLike, sigma: float, sigma_elevation: float | None = None
+) -> Array:
+    """Root mean square (...) rad of the wrapped azimuth error of the flipped normal at a true
+    elevation (...) rad.
 
-    The error is N(0, sigma^2) wrapped, turned by pi with the flip probability; both second moments follow from the
-    Fourier series of the squared wrapped angle.
+    The error is N(0, sigma^2) wrapped, turned by pi with the flip probability; both second moments
+    follow from the Fourier series of the squared wrapped angle.
     """
     p = flip_probability(elevation, sigma if sigma_elevation is None else sigma_elevation)
     if sigma < 0.1:  # wrapping beyond 31 standard deviations
@@ -170,9 +195,11 @@ def flipped_azimuth_std(elevation: ArrayLike, sigma: float, sigma_elevation: flo
 
 
 def flipped_elevation_moments(elevation: ArrayLike, sigma: float) -> tuple[Array, Array]:
-    """Mean error and root mean square error, both (...) rad, of the flipped elevation at a true one (...) rad.
+    """Mean error and root mean square error, both (...) rad, of the flipped elevation at a true one
+    (...) rad.
 
-    Closed form: between the flips, on ((m - 1/2) pi, (m + 1/2) pi), the flipped angle is (-1)^m (y - m pi).
+    Closed form: between the flips, on ((m - 1/2) pi, (m + 1/2) pi), the flipped angle is (-1)^m (y
+    - m pi).
     """
     b = np.asarray(elevation, dtype=float)[..., None]
     m = np.arange(-2 * _turns(sigma), 2 * _turns(sigma) + 1)
@@ -189,5 +216,7 @@ def flipped_elevation_moments(elevation: ArrayLike, sigma: float) -> tuple[Array
 
 
 def _turns(sigma: float) -> int:
-    """Full turns within which a normal of deviation sigma rad has all its mass that floating point can see."""
+    """Full turns within which a normal of deviation sigma rad has all its mass that floating point
+    can see.
+    """
     return int(np.ceil(10.0 * sigma / (2 * np.pi))) + 1

@@ -1,7 +1,8 @@
 """Directions and frames: azimuth and elevation, unit vectors, anchor frames, wrapping.
 
-Azimuth is measured from the frame's +x towards +y in (-pi, pi], elevation from its xy-plane towards +z in
-[-pi/2, pi/2]; the poles are +-z, where the azimuth is undefined and taken as 0. All functions broadcast.
+Azimuth is measured from the frame's +x towards +y in (-pi, pi], elevation from its xy-plane towards
++z in [-pi/2, pi/2]; the poles are +-z, where the azimuth is undefined and taken as 0. All functions
+broadcast.
 """
 
 from __future__ import annotations
@@ -29,13 +30,19 @@ def to_unit(azimuth: ArrayLike, elevation: ArrayLike) -> Array:
 
 
 def to_azel(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
-    """Components (...) of vectors of any length to azimuth and elevation (...) rad; azimuth 0 at an exact pole."""
-    x, y = np.asarray(x) + 0.0, np.asarray(y) + 0.0  # -0.0 would turn the undefined azimuth of a pole into pi
+    """Components (...) of vectors of any length to azimuth and elevation (...) rad; azimuth 0 at an
+    exact pole.
+    """
+    x, y = (
+        np.asarray(x) + 0.0,
+        np.asarray(y) + 0.0,
+    )  # -0.0 would turn the undefined azimuth of a pole into pi
     return np.arctan2(y, x), np.arctan2(z, np.sqrt(x * x + y * y))
 
 
 def in_frames(point: ArrayLike, position: Array, rotation: Array) -> tuple[Array, Array, Array]:
-    """R_j (theta - s_j): points seen from each anchor, as x, y, z (R, ..., B) m in the anchor's frame.
+    """R_j (theta - s_j): points seen from each anchor, as x, y, z (R, ..., B) m in the anchor's
+    frame.
 
     point (R, ..., 3) m, position (R|1, B, 3) m, rotation (R|1, B, 3, 3).
     """
@@ -49,22 +56,27 @@ def in_frames(point: ArrayLike, position: Array, rotation: Array) -> tuple[Array
 
 
 def rotations_for(point: Array, rotation: Array) -> Array:
-    """Rotations (R|1, B, 3, 3) with the axes that points (R, ..., n) have between R and the last one."""
+    """Rotations (R|1, B, 3, 3) with the axes that points (R, ..., n) have between R and the last
+    one.
+    """
     return rotation.reshape(rotation.shape[0], *(1,) * (point.ndim - 2), *rotation.shape[1:])
 
 
 def facing(direction: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
-    """Rotation (..., 3, 3), global to anchor frame, of an anchor whose pole points along `direction` (..., 3).
+    """Rotation (..., 3, 3), global to anchor frame, of an anchor whose pole points along
+    `direction` (..., 3).
 
-    Its rows are the horizontal local x, the local y ("up") and the direction itself; a vertical direction takes the
-    global y as up. Raises ValueError for a direction of length 0.
+    Its rows are the horizontal local x, the local y ("up") and the direction itself; a vertical
+    direction takes the global y as up. Raises ValueError for a direction of length 0.
     """
     z = np.asarray(direction, dtype=float)
     length = np.linalg.norm(z, axis=-1, keepdims=True)
     if not np.all(length > 0):
         raise ValueError("a facing direction must not be zero")
     z = z / length
-    vertical = np.linalg.norm(np.cross(np.broadcast_to(up, z.shape), z), axis=-1, keepdims=True) < 1e-12
+    vertical = (
+        np.linalg.norm(np.cross(np.broadcast_to(up, z.shape), z), axis=-1, keepdims=True) < 1e-12
+    )
     x = np.cross(np.where(vertical, (0.0, 1.0, 0.0), up), z)
     x = x / np.linalg.norm(x, axis=-1, keepdims=True)
     return np.stack([x, np.cross(z, x), z], axis=-2)
@@ -80,7 +92,8 @@ def euler(roll_pitch_yaw: ArrayLike) -> Array:
 
 
 def tangent_basis(direction: Array) -> tuple[Array, Array]:
-    """Two unit vectors (..., 3) that complete unit vectors (..., 3) to a right-handed orthonormal frame.
+    """Two unit vectors (..., 3) that complete unit vectors (..., 3) to a right-handed orthonormal
+    frame.
 
     Without a singular direction and without branches (Duff et al., JCGT 2017).
     """

@@ -1,6 +1,8 @@
-"""Confidence intervals over independent replications, the bootstrap of whole replications, and Holm's correction.
+"""Confidence intervals over independent replications, the bootstrap of whole replications, and
+Holm's correction.
 
-An interval is (low, high) at the two-sided level `confidence`; NaN where too few values tell. NaN values are left out.
+An interval is (low, high) at the two-sided level `confidence`; NaN where too few values tell. NaN
+values are left out.
 """
 
 from __future__ import annotations
@@ -31,10 +33,11 @@ def normal_quantile(confidence: float) -> float:
 
 
 def mean(values: ArrayLike, confidence: float = 0.95) -> Interval:
-    """Interval of a mean over replications (N,), corrected for skewness [Hall 1992, transformation g2].
+    """Interval of a mean over replications (N,), corrected for skewness [Hall 1992, transformation
+    g2].
 
-    With a = skewness / sqrt(N) the studentised mean T is replaced by T + a T^2/3 + a^2 T^3/27 + a/6, whose distribution
-    is Student's to the next order; Student's interval is the case a = 0.
+    With a = skewness / sqrt(N) the studentised mean T is replaced by T + a T^2/3 + a^2 T^3/27 +
+    a/6, whose distribution is Student's to the next order; Student's interval is the case a = 0.
     """
     from scipy.special import stdtrit
 
@@ -60,9 +63,11 @@ def _hall(y: float, a: float) -> float:
 
 
 def rmse(rmse: ArrayLike, fixes: ArrayLike | None = None, confidence: float = 0.95) -> Interval:
-    """Interval of the pooled RMSE from each replication's RMSE (N,) and number of accepted fixes (N,).
+    """Interval of the pooled RMSE from each replication's RMSE (N,) and number of accepted fixes
+    (N,).
 
-    The root of the interval of the mean square, a ratio of means, whose linearised terms are taken as `mean` does.
+    The root of the interval of the mean square, a ratio of means, whose linearised terms are taken
+    as `mean` does.
     """
     r = np.asarray(rmse, dtype=float)
     n = np.ones_like(r) if fixes is None else np.asarray(fixes, dtype=float)
@@ -76,19 +81,25 @@ def rmse(rmse: ArrayLike, fixes: ArrayLike | None = None, confidence: float = 0.
 
 
 def rate(count: int, n: int, confidence: float = 0.95) -> Interval:
-    """Wilson's score interval of a proportion (that of scipy.stats.binomtest, which takes half a second to import)."""
+    """Wilson's score interval of a proportion (that of scipy.stats.binomtest, which takes half a
+    second to import).
+    """
     if n == 0:
         return NOTHING
     z, p = normal_quantile(confidence), count / n
     centre, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + (z / (2 * n)) ** 2)
     scale = 1 + z * z / n
-    return 0.0 if count == 0 else (centre - half) / scale, 1.0 if count == n else (centre + half) / scale
+    return 0.0 if count == 0 else (centre - half) / scale, 1.0 if count == n else (
+        centre + half
+    ) / scale
 
 
 def quantile(values: ArrayLike, probability: float, confidence: float = 0.95) -> Interval:
-    """Distribution-free interval of a quantile over replications (N,), between two order statistics.
+    """Distribution-free interval of a quantile over replications (N,), between two order
+    statistics.
 
-    It covers with at least `confidence` whatever the distribution; an end that no order statistic reaches is infinite.
+    It covers with at least `confidence` whatever the distribution; an end that no order statistic
+    reaches is infinite.
     """
     from scipy.stats import quantile_test
 
@@ -101,12 +112,16 @@ def quantile(values: ArrayLike, probability: float, confidence: float = 0.95) ->
     )
 
 
-def cep(error: ArrayLike, probability: float = 0.5, axis: int = 0, confidence: float = 0.95) -> Interval:
-    """Interval of a quantile of all fixes' errors (R, T) m (NaN: no fix), whose independent units lie along `axis`.
+def cep(
+    error: ArrayLike, probability: float = 0.5, axis: int = 0, confidence: float = 0.95
+) -> Interval:
+    """Interval of a quantile of all fixes' errors (R, T) m (NaN: no fix), whose independent units
+    lie along `axis`.
 
-    Of horizontal errors this is the circular error probable, CEP50, CEP90, .. Axis 0: replications; axis 1: positions
-    that all replications share. Woodruff's: the interval of the share of fixes below the estimate, a ratio of means
-    over the units, is carried to errors by the empirical quantile function.
+    Of horizontal errors this is the circular error probable, CEP50, CEP90, .. Axis 0: replications;
+    axis 1: positions that all replications share. Woodruff's: the interval of the share of fixes
+    below the estimate, a ratio of means over the units, is carried to errors by the empirical
+    quantile function.
     """
     e = np.moveaxis(np.atleast_2d(np.asarray(error, dtype=float)), axis, 0)
     there = np.isfinite(e)
@@ -133,8 +148,8 @@ class Band:
 def cdf_band(values: ArrayLike, confidence: float = 0.95, pointwise: bool = False) -> Band:
     """Distribution function of independent values (N,), sorted, with its band.
 
-    Simultaneous [Dvoretzky, Kiefer, Wolfowitz; Massart 1990]: the whole function lies within with `confidence`;
-    `pointwise`: each point of it does [Clopper, Pearson], which is narrower.
+    Simultaneous [Dvoretzky, Kiefer, Wolfowitz; Massart 1990]: the whole function lies within with
+    `confidence`; `pointwise`: each point of it does [Clopper, Pearson], which is narrower.
     """
     x = np.sort(finite(values))
     n = len(x)
@@ -158,11 +173,13 @@ def bootstrap(
     resamples: int = 2000,
     seed: int = 0,
 ) -> tuple[float, Interval]:
-    """Standard error and BCa interval of `statistic(*arrays)` by drawing whole units along `axis` with replacement.
+    """Standard error and BCa interval of `statistic(*arrays)` by drawing whole units along `axis`
+    with replacement.
 
-    The arrays share that axis and are drawn together: paired. Axis 0 of (R,) or (R, T): whole replications; axis 1 of
-    (R, P): whole positions that all replications share. Steps within a replication are never drawn apart. For what has
-    no interval of its own: `mean` and `rmse` cover a little better, and at once.
+    The arrays share that axis and are drawn together: paired. Axis 0 of (R,) or (R, T): whole
+    replications; axis 1 of (R, P): whole positions that all replications share. Steps within a
+    replication are never drawn apart. For what has no interval of its own: `mean` and `rmse` cover
+    a little better, and at once.
     """
     from scipy import stats
 
@@ -175,18 +192,30 @@ def bootstrap(
         return statistic(*(np.take(a, index, axis=axis) for a in given))
 
     found = stats.bootstrap(
-        (np.arange(n),), drawn, vectorized=False, n_resamples=resamples, confidence_level=confidence, rng=seed
+        (np.arange(n),),
+        drawn,
+        vectorized=False,
+        n_resamples=resamples,
+        confidence_level=confidence,
+        rng=seed,
     )
-    return float(found.standard_error), (float(found.confidence_interval.low), float(found.confidence_interval.high))
+    return float(found.standard_error), (
+        float(found.confidence_interval.low),
+        float(found.confidence_interval.high),
+    )
 
 
 def holm(p_values: ArrayLike) -> Array:
-    """p-values (M,) adjusted for all M comparisons being looked at [Holm 1979]; NaN ones are no comparisons.
+    """p-values (M,) adjusted for all M comparisons being looked at [Holm 1979]; NaN ones are no
+    comparisons.
 
-    To claim what is below 0.05 makes a false claim with probability 0.05 at most, however they depend on each other.
+    To claim what is below 0.05 makes a false claim with probability 0.05 at most, however they
+    depend on each other.
     """
     p = np.asarray(p_values, dtype=float)
     adjusted = np.full(p.shape, math.nan)
     order = np.argsort(p)[: np.isfinite(p).sum()]  # NaN sorts last
-    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1.0)
+    adjusted[order] = np.minimum(
+        np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1.0
+    )
     return adjusted

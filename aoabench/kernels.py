@@ -14,7 +14,9 @@ ENGINES = ("auto", "numpy")
 
 
 def check_engine(engine: str, more: tuple[str, ...] = ()) -> None:
-    """Raise BadValue unless it is one: `auto` takes a kernel where there is one, `numpy` never does."""
+    """Raise BadValue unless it is one: `auto` takes a kernel where there is one, `numpy` never
+    does.
+    """
     check_choice("engine", engine, (*ENGINES, *more))
 
 
@@ -30,11 +32,15 @@ def load(name: str) -> ModuleType | None:
 
 def prepare(name: str, say: Callable[[str], None]) -> None:
     """`load`, telling what takes long or what is missing."""
-    waiting = threading.Timer(1.5, say, ["compiling kernels for this machine (once, about half a minute) ..."])
+    waiting = threading.Timer(
+        1.5, say, ["compiling kernels for this machine (once, about half a minute) ..."]
+    )
     waiting.start()
     try:
         found = load(name)
     finally:
         waiting.cancel()
     if found is None:
-        say("numba is not installed: filters run in NumPy, particle filters some 50 times slower; pip install numba")
+        say(
+            "numba is not installed: filters run in NumPy, particle filters some 50 times slower; pip install numba"
+        )

@@ -1,7 +1,7 @@
 """One block of replications: truth and measurements, every estimator, metrics, rows.
 
-Estimators see tiles of a fixed number of replications, aligned on the replication number, whatever block they are in:
-the same replication gives the same bits however the work is cut.
+Estimators see tiles of a fixed number of replications, aligned on the replication number, whatever
+block they are in: the same replication gives the same bits however the work is cut.
 """
 
 from __future__ import annotations
@@ -26,12 +26,16 @@ _SPAN = 64  # replications whose estimates are held before they become rows
 
 
 def tile_of(estimator: Any, scenario: Any = None) -> int:
-    """How many replications this estimator takes at once; no more than the scenario has, if it says how many."""
+    """How many replications this estimator takes at once; no more than the scenario has, if it says
+    how many.
+    """
     tile = int(getattr(estimator, "tile", 128))
     return min(tile, getattr(scenario, "replications", tile))
 
 
-def simulate(scenario: Any, noise: Any, seed: int, replication: int) -> tuple[np.ndarray, Measurements, Any]:
+def simulate(
+    scenario: Any, noise: Any, seed: int, replication: int
+) -> tuple[np.ndarray, Measurements, Any]:
     """Truth (T, n), measurements and prior (mean, covariance) of one replication.
 
     A scenario with `same_truth` has one truth for all replications.
@@ -40,13 +44,17 @@ def simulate(scenario: Any, noise: Any, seed: int, replication: int) -> tuple[np
     truth = scenario.truth(generator(seed, scenario.name, 0 if once else replication, TRUTH))
     measured = getattr(scenario, "recorded", None)
     if measured is None:
-        measured = noise.sample(generator(seed, scenario.name, replication, MEASUREMENT), scenario, truth)
+        measured = noise.sample(
+            generator(seed, scenario.name, replication, MEASUREMENT), scenario, truth
+        )
     prior = scenario.prior(generator(seed, scenario.name, replication, ESTIMATOR, PRIOR), truth)
     return truth, measured, prior
 
 
 class Draws:
-    """Simulated replications of one cell; the last tile is kept, for the next estimator that asks for it."""
+    """Simulated replications of one cell; the last tile is kept, for the next estimator that asks
+    for it.
+    """
 
     def __init__(self, scenario: Any, noise: Any, seed: int) -> None:
         self.scenario, self.noise, self.seed = scenario, noise, seed
@@ -59,9 +67,13 @@ class Draws:
         return self._last[1]
 
     def _simulated(self, start: int, size: int) -> tuple[np.ndarray, Batch]:
-        drawn = [simulate(self.scenario, self.noise, self.seed, r) for r in range(start, start + size)]
+        drawn = [
+            simulate(self.scenario, self.noise, self.seed, r) for r in range(start, start + size)
+        ]
         measured = {
-            f.name: None if getattr(drawn[0][1], f.name) is None else np.stack([getattr(d[1], f.name) for d in drawn])
+            f.name: None
+            if getattr(drawn[0][1], f.name) is None
+            else np.stack([getattr(d[1], f.name) for d in drawn])
             for f in fields(Measurements)
         }
         prior = drawn[0][2]
@@ -84,35 +96,57 @@ class Draws:
         if not hasattr(self.noise, "known_anchors"):
             return true
         name = self.scenario.name
-        each = [self.noise.known_anchors(generator(self.seed, name, r, ANCHORS), self.scenario) for r in replications]
+        each = [
+            self.noise.known_anchors(generator(self.seed, name, r, ANCHORS), self.scenario)
+            for r in replications
+        ]
         sigma = [a.position_sigma for a in each]
         return Anchors(
-            np.concatenate([a.position for a in each]), true.rotation, None if sigma[0] is None else sigma[0]
+            np.concatenate([a.position for a in each]),
+            true.rotation,
+            None if sigma[0] is None else sigma[0],
         )
 
 
 def run_block(
-    scenario: Any, noise: Any, estimators: Mapping[str, Any], seed: int, start: int, stop: int, steps: bool = False
+    scenario: Any,
+    noise: Any,
+    estimators: Mapping[str, Any],
+    seed: int,
+    start: int,
+    stop: int,
+    steps: bool = False,
 ) -> dict[str, dict[str, Rows]]:
-    """Replications start..stop-1 for each estimator: `rows`, one per replication, and `steps` if asked for.
+    """Replications start..stop-1 for each estimator: `rows`, one per replication, and `steps` if
+    asked for.
 
-    Where all replications share their true positions there are `fixes` too, one row of arrays per replication, because
-    standard errors then cluster by position. `failures` are there where an estimator raised or gave NaN
-    (see `try_tile`). Estimators take turns tile by tile: what depends on the replication alone is drawn once for all.
+    Where all replications share their true positions there are `fixes` too, one row of arrays per
+    replication, because standard errors then cluster by position. `failures` are there where an
+    estimator raised or gave NaN (see `try_tile`). Estimators take turns tile by tile: what depends
+    on the replication alone is drawn once for all.
     """
     score = {"rows": _rows}
     score |= {"steps": _details} if steps else {}
     score |= {"fixes": _fixes} if getattr(scenario, "same_truth", False) else {}
-    scores: dict[str, dict[str, list[Rows]]] = {name: {kind: [] for kind in score} for name in estimators}
+    scores: dict[str, dict[str, list[Rows]]] = {
+        name: {kind: [] for kind in score} for name in estimators
+    }
     errors: dict[str, dict[int, str]] = {name: {} for name in estimators}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for size in sorted({tile_of(estimator, scenario) for estimator in estimators.values()}):
-            names = [name for name, estimator in estimators.items() if tile_of(estimator, scenario) == size]
+            names = [
+                name
+                for name, estimator in estimators.items()
+                if tile_of(estimator, scenario) == size
+            ]
             span = size * max(_SPAN // size, 1)
             for first in range(start - start % size, stop, span):
                 tiles = range(first, min(first + span, stop), size)
-                found = [{name: try_tile(draws, estimators[name], tile) for name in names} for tile in tiles]
+                found = [
+                    {name: try_tile(draws, estimators[name], tile) for name in names}
+                    for tile in tiles
+                ]
                 numbers = np.arange(first, tiles[-1] + size)
                 keep = (numbers >= start) & (numbers < stop)
                 for name in names:
@@ -122,7 +156,10 @@ def run_block(
                         errors[name] |= tile[name][2]
                     for kind, make in score.items():
                         scores[name][kind].append(make(numbers, truth, estimates, keep))
-    blocks = {name: {kind: _join(found) for kind, found in kinds.items()} for name, kinds in scores.items()}
+    blocks = {
+        name: {kind: _join(found) for kind, found in kinds.items()}
+        for name, kinds in scores.items()
+    }
     for name, block in blocks.items():
         block |= _failures(block["rows"], errors[name])
     return blocks
@@ -130,7 +167,9 @@ def run_block(
 
 def _one_after_the_other(tiles: list[Estimates]) -> Estimates:
     values = {f.name: [getattr(tile, f.name) for tile in tiles] for f in fields(Estimates)}
-    return Estimates(**{name: None if v[0] is None else np.concatenate(v) for name, v in values.items()})  # type: ignore[arg-type]
+    return Estimates(
+        **{name: None if v[0] is None else np.concatenate(v) for name, v in values.items()}
+    )  # type: ignore[arg-type]
 
 
 def _rows(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray) -> Rows:
@@ -138,7 +177,9 @@ def _rows(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np
     return {k: v[keep] for k, v in found.items()}
 
 
-def _details(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray) -> Rows:
+def _details(
+    numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray
+) -> Rows:
     R, T = truth.shape[:2]
     found = {"replication": np.tile(numbers, (T, 1)).T, "step": np.tile(np.arange(T), (R, 1))}
     found |= metrics.per_step(estimates, truth[..., :3])
@@ -167,14 +208,20 @@ def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray,
     return truth, checked(estimates, truth.shape[:2], type(estimator).__name__)
 
 
-def _asked(draws: Draws, estimator: Any, first: int, at: np.ndarray | None = None) -> tuple[np.ndarray, Estimates]:
-    """Truth (R, T, n) of a tile and what the estimator says, unchecked; `at` (R,): whose data each place gets."""
+def _asked(
+    draws: Draws, estimator: Any, first: int, at: np.ndarray | None = None
+) -> tuple[np.ndarray, Estimates]:
+    """Truth (R, T, n) of a tile and what the estimator says, unchecked; `at` (R,): whose data each
+    place gets.
+    """
     size = tile_of(estimator, draws.scenario)
     truth, batch = draws.tile(first, size)
     numbers = range(first, first + size) if at is None else [first + int(i) for i in at]
     streams = Streams(draws.seed, draws.scenario.name, tuple(numbers))
     seen = (truth if at is None else truth[at],) if getattr(estimator, "sees_truth", False) else ()
-    return truth, estimator(batch if at is None else _placed(batch, at), draws.scenario, streams, *seen)
+    return truth, estimator(
+        batch if at is None else _placed(batch, at), draws.scenario, streams, *seen
+    )
 
 
 def _placed(batch: Batch, at: np.ndarray) -> Batch:
@@ -188,18 +235,30 @@ def _placed(batch: Batch, at: np.ndarray) -> Batch:
         return taken
 
     anchors = Anchors(**{f.name: placed(getattr(batch.anchors, f.name)) for f in fields(Anchors)})  # type: ignore[arg-type]
-    each = {f.name: placed(getattr(batch, f.name)) for f in fields(Batch) if f.name not in ("anchors", "prior_cov")}
+    each = {
+        f.name: placed(getattr(batch, f.name))
+        for f in fields(Batch)
+        if f.name not in ("anchors", "prior_cov")
+    }
     return Batch(anchors=anchors, prior_cov=batch.prior_cov, **each)  # type: ignore[arg-type]
 
 
-def try_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates, dict[int, str]]:
-    """As `estimate_tile`; what raises costs those replications alone that it raises on, and NaN is told, too.
+def try_tile(
+    draws: Draws, estimator: Any, first: int
+) -> tuple[np.ndarray, Estimates, dict[int, str]]:
+    """As `estimate_tile`; what raises costs those replications alone that it raises on, and NaN is
+    told, too.
 
-    The third value says by replication's number what was wrong. To find who raises, the tile is repeated with some of
-    its replications, each in its own place, the other places filled by one of them: the tile keeps its size and what it
-    gives to a replication keeps its bits. UserErrors and lack of memory are not the data's fault and stop the run.
+    The third value says by replication's number what was wrong. To find who raises, the tile is
+    repeated with some of its replications, each in its own place, the other places filled by one of
+    them: the tile keeps its size and what it gives to a replication keeps its bits. UserErrors and
+    lack of memory are not the data's fault and stop the run.
     """
-    size, errors, name = tile_of(estimator, draws.scenario), dict[int, str](), type(estimator).__name__
+    size, errors, name = (
+        tile_of(estimator, draws.scenario),
+        dict[int, str](),
+        type(estimator).__name__,
+    )
     truth, _ = draws.tile(first, size)
     everyone = np.arange(size)
     pieces: list[tuple[np.ndarray, Estimates]] = []
@@ -215,14 +274,22 @@ def try_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Esti
             if len(some) > 1:
                 todo += np.array_split(some, 2)
             else:
-                errors[first + int(some[0])] = " ".join(f"{type(error).__name__}: {error}".split())[:500]
+                errors[first + int(some[0])] = " ".join(f"{type(error).__name__}: {error}".split())[
+                    :500
+                ]
             continue
         good = checked(raw, truth.shape[:2], name)
         nan = (good.outcome != raw.outcome).sum(axis=1)
         for i in some[nan[some] > 0]:
-            errors[first + int(i)] = f"{nan[i]} of {truth.shape[1]} fixes claim a position and give NaN"
+            errors[first + int(i)] = (
+                f"{nan[i]} of {truth.shape[1]} fixes claim a position and give NaN"
+            )
         pieces.append((some, good))
-    return truth, pieces[0][1] if len(pieces) == 1 and not errors else _assembled(pieces, truth.shape[:2]), errors
+    return (
+        truth,
+        pieces[0][1] if len(pieces) == 1 and not errors else _assembled(pieces, truth.shape[:2]),
+        errors,
+    )
 
 
 def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...]) -> Estimates:
@@ -242,12 +309,16 @@ def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...
 
 
 def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimates:
-    """The estimates, if their arrays have the shapes (R, T, ...) that the protocol asks for; UserError otherwise.
+    """The estimates, if their arrays have the shapes (R, T, ...) that the protocol asks for;
+    UserError otherwise.
 
-    A fix that claims a position and gives none (x or y not finite) is `failed`: nothing drops out of the counts.
+    A fix that claims a position and gives none (x or y not finite) is `failed`: nothing drops out
+    of the counts.
     """
     if not isinstance(estimates, Estimates):
-        raise UserError(f"{name}: an estimator must return Estimates, not {type(estimates).__name__}")
+        raise UserError(
+            f"{name}: an estimator must return Estimates, not {type(estimates).__name__}"
+        )
     wanted = {"position": (*shape, 3), "covariance": (*shape, 3, 3), "outcome": shape}
     wanted |= dict.fromkeys(("iterations", "score", "anchors_used"), shape)
     for field, expected in wanted.items():
@@ -255,22 +326,27 @@ def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimate
         if value is None and field not in ("position", "outcome"):
             continue
         if np.shape(value) != expected:
-            raise UserError(f"{name}: Estimates.{field} must have the shape {expected}, not {np.shape(value)}")
+            raise UserError(
+                f"{name}: Estimates.{field} must have the shape {expected}, not {np.shape(value)}"
+            )
     if not np.isin(estimates.outcome, list(Outcome)).all():
         raise UserError(f"{name}: Estimates.outcome must hold values of Outcome")
     given = (estimates.outcome != Outcome.FAILED) & (estimates.outcome != Outcome.REJECTED)
     lost = given & ~np.isfinite(estimates.position[..., :2]).all(-1)
-    return replace(estimates, outcome=np.where(lost, Outcome.FAILED, estimates.outcome).astype(np.int8))
+    return replace(
+        estimates, outcome=np.where(lost, Outcome.FAILED, estimates.outcome).astype(np.int8)
+    )
 
 
 def time_estimators(
     scenario: Any, noise: Any, estimators: Mapping[str, Any], seed: int, repeats: int = 3
 ) -> dict[str, tuple[float, int, int]]:
-    """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS at one thread.
+    """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS
+    at one thread.
 
-    After a first pass, which warms up, up to `repeats` more, as long as they fit into about a second. Large tiles are
-    filled by a few replications, since the simulation is not counted; nor is a tile that the estimator raises on, and
-    without any other there is no timing.
+    After a first pass, which warms up, up to `repeats` more, as long as they fit into about a
+    second. Large tiles are filled by a few replications, since the simulation is not counted; nor
+    is a tile that the estimator raises on, and without any other there is no timing.
     """
     result = {}
     with threadpool_limits(1):
@@ -284,7 +360,11 @@ def time_estimators(
                 first = number if size == 1 else 0
                 truth, batch = draws.tile(first, few)
                 full = batch if few == size else _placed(batch, np.arange(size) % few)
-                seen = (truth[np.arange(size) % few],) if getattr(estimator, "sees_truth", False) else ()
+                seen = (
+                    (truth[np.arange(size) % few],)
+                    if getattr(estimator, "sees_truth", False)
+                    else ()
+                )
                 streams = Streams(seed, scenario.name, tuple(range(first, first + size)))
                 begin = time.perf_counter()
                 with contextlib.suppress(Exception):  # counted as a failure where it is computed

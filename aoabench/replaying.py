@@ -26,13 +26,15 @@ def replay(
     plugins: Sequence[str] = (),
     export: str | None = None,
 ) -> str:
-    """Write <run>/replay/<cell>-<estimator>-<replication>.parquet and its picture (.png), and return a text about it.
+    """Write <run>/replay/<cell>-<estimator>-<replication>.parquet and its picture (.png), and
+    return a text about it.
 
-    The trace has a row per step: true_x_m ..., x_m ..., their stated deviations sigma_x_m ... and covariances cov_xx_m2
-    ..., error_3d_m, nees, outcome, iterations; per anchor j what was measured (azimuth_<j>_rad, elevation_<j>_rad,
-    delay_<j>_s, rssi_<j>_dbm); what the estimator's own `trace` tells: innovation_<j>_<component>, ess. `plugins` are
-    the packages of the user's own that the run used; `export`, csv or parquet, writes what was measured too (see
-    `exported`). Raises UserError for a run, cell, estimator or replication that is not there.
+    The trace has a row per step: true_x_m ..., x_m ..., their stated deviations sigma_x_m ... and
+    covariances cov_xx_m2 ..., error_3d_m, nees, outcome, iterations; per anchor j what was measured
+    (azimuth_<j>_rad, elevation_<j>_rad, delay_<j>_s, rssi_<j>_dbm); what the estimator's own
+    `trace` tells: innovation_<j>_<component>, ess. `plugins` are the packages of the user's own
+    that the run used; `export`, csv or parquet, writes what was measured too (see `exported`).
+    Raises UserError for a run, cell, estimator or replication that is not there.
     """
     if not (run / "cells").is_dir():
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
@@ -43,7 +45,9 @@ def replay(
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
     cell = cell or next(iter(records))
     if cell not in records:
-        raise UserError(f"--cell={cell}: not in this run{did_you_mean(cell, records)}; allowed: {', '.join(records)}")
+        raise UserError(
+            f"--cell={cell}: not in this run{did_you_mean(cell, records)}; allowed: {', '.join(records)}"
+        )
     record = records[cell]
     config = record["config"]
     presets = {**(config["filter"] or {}), **(config["estimator"] or {})}
@@ -65,20 +69,29 @@ def replay(
     if hasattr(method, "trace") and replication not in errors:
         _, batch = draws.tile(first, size)
         streams = Streams(draws.seed, scenario.name, tuple(range(first, first + size)))
-        columns |= {name: np.asarray(value)[i] for name, value in method.trace(batch, scenario, streams).items()}
+        columns |= {
+            name: np.asarray(value)[i]
+            for name, value in method.trace(batch, scenario, streams).items()
+        }
     path = run / "replay" / f"{cell}-{_as_file_name(estimator)}-{replication}.parquet"
     kinds = {name: {"step": "int64", "outcome": "string"}.get(name, "double") for name in columns}
     store.write_table(path, columns, store.schema(kinds, store.provenance(config)))
     rmse = float(metrics.per_replication(estimates, truth[..., :3])["rmse_3d_m"][i])
     rows = pd.read_parquet(run / "replications.parquet" / f"{cell}.parquet")
-    stored = rows[(rows["estimator"] == estimator) & (rows["replication"] == replication)]["rmse_3d_m"].iloc[0]
+    stored = rows[(rows["estimator"] == estimator) & (rows["replication"] == replication)][
+        "rmse_3d_m"
+    ].iloc[0]
     same = rmse == stored or (np.isnan(rmse) and np.isnan(stored))
     says = "as stored" if same else f"stored is {stored:.17g}: code or libraries have changed since"
     title = f"{record['scenario']}, {record['noise']}: {estimator}, replication {replication}, RMSE {rmse:.3g} m"
-    anchors, walls = np.asarray(scenario.known_anchors.position)[0], getattr(scenario, "segments", None)
+    anchors, walls = (
+        np.asarray(scenario.known_anchors.position)[0],
+        getattr(scenario, "segments", None),
+    )
     frame = pd.read_parquet(path)
     picture = plots.save(
-        lambda: trace.figure(frame, title, anchors, walls, scenario.motion is not None), path.with_suffix(".png")
+        lambda: trace.figure(frame, title, anchors, walls, scenario.motion is not None),
+        path.with_suffix(".png"),
     )
     text = f"cell {cell}, {estimator}, replication {replication}: rmse_3d_m = {rmse:.17g} ({says})"
     wrong = f"\n{errors[replication]}" if replication in errors else ""
@@ -105,7 +118,9 @@ def _estimated(truth: np.ndarray, estimates: Estimates, i: int) -> dict[str, np.
             columns[f"sigma_{name}_m"] = np.sqrt(np.maximum(P[i, :, axis, axis], 0.0))
     error = position - truth[:, :3]
     columns["error_3d_m"] = metrics.distance(error)
-    columns["outcome"] = np.array([Outcome(int(o)).name.lower() for o in estimates.outcome[i]], dtype=object)
+    columns["outcome"] = np.array(
+        [Outcome(int(o)).name.lower() for o in estimates.outcome[i]], dtype=object
+    )
     if P is not None:
         for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
             columns[f"cov_{'xyz'[a]}{'xyz'[b]}_m2"] = P[i, :, a, b]
@@ -119,23 +134,37 @@ def _measured(batch: Batch, i: int) -> dict[str, np.ndarray]:
     """What was measured in the tile's i-th replication."""
     columns = {}
     for j in range(batch.azimuth.shape[2]):
-        for name, unit in (("azimuth", "rad"), ("elevation", "rad"), ("delay", "s"), ("rssi", "dbm")):
+        for name, unit in (
+            ("azimuth", "rad"),
+            ("elevation", "rad"),
+            ("delay", "s"),
+            ("rssi", "dbm"),
+        ):
             value = getattr(batch, name)
             if value is not None:
                 columns[f"{name}_{j}_{unit}"] = value[i, :, j]
     return columns
 
 
-def exported(path: Path, kind: str, scenario: Any, batch: Batch, truth: Array, i: int, estimator: str) -> str:
-    """Write the i-th replication of a tile as scenario=recorded reads it, and return the command that does.
+def exported(
+    path: Path, kind: str, scenario: Any, batch: Batch, truth: Array, i: int, estimator: str
+) -> str:
+    """Write the i-th replication of a tile as scenario=recorded reads it, and return the command
+    that does.
 
-    <path>-measurements.<kind> (csv or parquet) has a row per fix and anchor that measured, with the true position of
-    truth (R, T, n), <path>-anchors.csv the anchors as the estimator knew them.
+    <path>-measurements.<kind> (csv or parquet) has a row per fix and anchor that measured, with the
+    true position of truth (R, T, n), <path>-anchors.csv the anchors as the estimator knew them.
     """
     T, B = batch.azimuth.shape[1:]
     fix, anchor = (a.ravel() for a in np.indices((T, B)))
-    angles = {f"{a}{s}": getattr(batch, f"{a}{s}") for s in ("", "_sigma") for a in ("azimuth", "elevation")}
-    columns = {f"{name}_deg": np.rad2deg(a[i].ravel()) for name, a in angles.items() if a is not None}
+    angles = {
+        f"{a}{s}": getattr(batch, f"{a}{s}")
+        for s in ("", "_sigma")
+        for a in ("azimuth", "elevation")
+    }
+    columns = {
+        f"{name}_deg": np.rad2deg(a[i].ravel()) for name, a in angles.items() if a is not None
+    }
     columns |= {} if batch.rssi is None else {"rssi_dbm": batch.rssi[i].ravel()}
     columns |= {f"{axis}_m": truth[i, fix, k] for k, axis in enumerate("xyz")}
     heard = np.isfinite(batch.azimuth[i]) | np.isfinite(batch.elevation[i])
@@ -144,8 +173,12 @@ def exported(path: Path, kind: str, scenario: Any, batch: Batch, truth: Array, i
     known = batch.anchors.of(i)
     turned = np.rad2deg([euler_of(R.T) for R in known.rotation[0]]) + 0.0  # no -0.0
     place = {f"{axis}_m": known.position[0, :, k] for k, axis in enumerate("xyz")}
-    axes = {name: turned[:, k] for k, name in ((2, "facing_deg"), (1, "pitch_deg"), (0, "roll_deg"))}
-    log, anchors = (path.with_name(f"{path.stem}-{what}") for what in (f"measurements.{kind}", "anchors.csv"))
+    axes = {
+        name: turned[:, k] for k, name in ((2, "facing_deg"), (1, "pitch_deg"), (0, "roll_deg"))
+    }
+    log, anchors = (
+        path.with_name(f"{path.stem}-{what}") for what in (f"measurements.{kind}", "anchors.csv")
+    )
     write = frame.to_csv if kind == "csv" else frame.to_parquet
     store.write_atomically(log, lambda temporary: write(temporary, index=False))
     table = pd.DataFrame({"id": np.arange(1, B + 1), **place, **axes})
@@ -158,7 +191,9 @@ def exported(path: Path, kind: str, scenario: Any, batch: Batch, truth: Array, i
         words.append(f"'scenario.bounds_m={np.asarray(bounds).tolist()}'".replace(" ", ""))
     if np.nanmax(np.abs(batch.elevation[i]), initial=0.0) > np.pi / 2:
         words.append("scenario.elevation_limit_deg=180")
-    return f"read it back: aoabench run scenario=recorded {' '.join(words)} 'estimator=[{estimator}]'"
+    return (
+        f"read it back: aoabench run scenario=recorded {' '.join(words)} 'estimator=[{estimator}]'"
+    )
 
 
 def euler_of(matrix: Array) -> tuple[float, float, float]:

@@ -1,7 +1,8 @@
 """From a study's list of items to its tables, figures, verdicts and page.
 
-A study is a folder under `experiments/`: study.yaml (the items), numbers.py (item -> table), figures.py (table ->
-figure and values), printed.yaml, errata.yaml, README.md. Computing ends in Parquet; drawing starts from it.
+A study is a folder under `experiments/`: study.yaml (the items), numbers.py (item -> table),
+figures.py (table -> figure and values), printed.yaml, errata.yaml, README.md. Computing ends in
+Parquet; drawing starts from it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,12 @@ def all_studies() -> list[str]:
 
 
 def reproduce(
-    names: Sequence[str], scale: str, only: str | None, results: Path, echo: Echo, formats: Sequence[str] = ("png",)
+    names: Sequence[str],
+    scale: str,
+    only: str | None,
+    results: Path,
+    echo: Echo,
+    formats: Sequence[str] = ("png",),
 ) -> None:
     """Compute the items of the named studies (all if none is named) at a scale, then draw them.
 
@@ -35,7 +41,9 @@ def reproduce(
     known = all_studies()
     for name in names:
         if name not in known:
-            raise UserError(f"study {name!r}: unknown{did_you_mean(name, known) or '; allowed: ' + ', '.join(known)}")
+            raise UserError(
+                f"study {name!r}: unknown{did_you_mean(name, known) or '; allowed: ' + ', '.join(known)}"
+            )
     chosen = [study.load(name) for name in (names or known)]
     items = [(s, item) for s in chosen for item in s.items if only is None or item.name == only]
     if only is not None and not items:
@@ -47,7 +55,11 @@ def reproduce(
     for s, item in items:
         begin = time.perf_counter()
         frame, origin = compute(s, item, scale, results)
-        origin = {**store.provenance(origin), "scale": scale, "seconds": round(time.perf_counter() - begin, 2)}
+        origin = {
+            **store.provenance(origin),
+            "scale": scale,
+            "seconds": round(time.perf_counter() - begin, 2),
+        }
         store.write_frame(study.table_path(results, s, item), frame, origin)
         echo(f"{s.name} {item.name}: {len(frame)} rows, {origin['seconds']:.1f} s ({scale})")
     draw([s.name for s in chosen], results, echo, {item.name for _, item in items}, formats)
@@ -62,7 +74,9 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
             "scale": scale,
         }
     out = results / "raw" / s.name  # one folder a study: what two items need is computed once
-    cells = compose_cells([f"experiment={item.experiment}", *item.scale[scale], f"runner.out={out}"])
+    cells = compose_cells(
+        [f"experiment={item.experiment}", *item.scale[scale], f"runner.out={out}"]
+    )
     runner.run(cells)
     origin = {"experiment": item.experiment, "cells": [c.config for c in cells]}
     if item.reads == "fixes":
@@ -92,10 +106,15 @@ def draw(
         absent = [item.name for item in s.items if not study.table_path(results, s, item).exists()]
         for item in s.items:
             if only is None or item.name in only:
-                problem = study.draw(s, item, results, tuple(formats)) or study.read(s, item, results).problem
+                problem = (
+                    study.draw(s, item, results, tuple(formats))
+                    or study.read(s, item, results).problem
+                )
                 problems[name, item.name] = problem
                 if problem:
-                    echo(f"{name} {item.name}: not computed: {problem}; aoabench reproduce {name} --only {item.name}")
+                    echo(
+                        f"{name} {item.name}: not computed: {problem}; aoabench reproduce {name} --only {item.name}"
+                    )
         if absent and only is None:
             echo(f"{name}: not computed: {', '.join(absent)}; aoabench reproduce {name}")
     everything = [study.load(name) for name in all_studies()]

@@ -1,4 +1,6 @@
-"""Cells to tasks: what is missing is computed, what is there is used again, then the tables are made."""
+"""Cells to tasks: what is missing is computed, what is there is used again, then the tables are
+made.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +28,11 @@ _HOPELESS = 100  # so many replications, all of them lost, tell that the rest wi
 
 @dataclass(frozen=True)
 class RunReport:
-    """What a run did: estimator-replications computed and reused, wall seconds, and where the tables lie.
+    """What a run did: estimator-replications computed and reused, wall seconds, and where the
+    tables lie.
 
-    `damaged`: parts that did not fit their checksums and were computed again. `precision`: where a cell ran until a
-    precision was reached, what each estimator reached (as in precision.parquet).
+    `damaged`: parts that did not fit their checksums and were computed again. `precision`: where a
+    cell ran until a precision was reached, what each estimator reached (as in precision.parquet).
     """
 
     out: Path
@@ -43,9 +46,9 @@ class RunReport:
 def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     """Compute what is missing of all cells and make the tables. The cells share one runner.out.
 
-    Raises UserError if the output folder cannot be written, RunError for what happens on the way (a full disk, a worker
-    that dies, more failures than allowed); what is finished by then is kept and in the tables as far as they can be
-    made, and the same call goes on from there.
+    Raises UserError if the output folder cannot be written, RunError for what happens on the way (a
+    full disk, a worker that dies, more failures than allowed); what is finished by then is kept and
+    in the tables as far as they can be made, and the same call goes on from there.
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
@@ -61,7 +64,9 @@ class _Run:
         self.options = cells[0].runner
         self.draws = {cell.id: store.draws_key(cell) for cell in cells}
         self.keys = {
-            cell.id: {name: store.part_key(cell, name, self.draws[cell.id]) for name in cell.estimators}
+            cell.id: {
+                name: store.part_key(cell, name, self.draws[cell.id]) for name in cell.estimators
+            }
             for cell in cells
         }
         self.losses: dict[str, Loss] = {}  # by part key
@@ -80,7 +85,11 @@ class _Run:
         for count in until.counts if until else [None]:
             self.goal |= {cell.id: count or cell.reps for cell in running}
             self._compute_missing(running)
-            running = [c for c in running if c.id not in self.stopped and until and not self._precise(c, until)]
+            running = [
+                c
+                for c in running
+                if c.id not in self.stopped and until and not self._precise(c, until)
+            ]
             if not running:
                 break
         reached = self._tabulate()
@@ -93,14 +102,24 @@ class _Run:
         ]
         seconds = time.perf_counter() - begin
         reused = reached - self.computed
-        return RunReport(self.out, self.computed, reused, seconds, tuple(self.damaged), tuple(precision))
+        return RunReport(
+            self.out, self.computed, reused, seconds, tuple(self.damaged), tuple(precision)
+        )
 
     def _compute_missing(self, cells: Sequence[Cell]) -> None:
-        """All replications up to the goals. Cells may share parts with one that was stopped: then once more."""
+        """All replications up to the goals. Cells may share parts with one that was stopped: then
+        once more.
+        """
         while True:
             before = len(self.stopped)
             tasks = self._plan([cell for cell in cells if cell.id not in self.stopped])
-            compute_all(tasks, self.out, self.progress, self._note, lambda task: task.cell.id in self.stopped)
+            compute_all(
+                tasks,
+                self.out,
+                self.progress,
+                self._note,
+                lambda task: task.cell.id in self.stopped,
+            )
             if len(self.stopped) == before:
                 return
 
@@ -115,7 +134,9 @@ class _Run:
                     claimed.add(key)
                     parts, damaged = store.examined(self.out, key)
                     for seal in damaged:
-                        _tell(f"{seal.with_suffix('').with_suffix('')}: altered or torn; computed again")
+                        _tell(
+                            f"{seal.with_suffix('').with_suffix('')}: altered or torn; computed again"
+                        )
                     self.damaged += damaged
                     self.losses[key] = Loss.of(tables.errors(parts, goal, lost=True))
                     self.there[key] = min(sum(part.stop - part.start for part in parts), goal)
@@ -134,12 +155,16 @@ class _Run:
             self._check(task.cell, name)
 
     def _check(self, cell: Cell, name: str) -> None:
-        """Stop the cell if one estimator failed too often: more than the limit, or every one of the first hundred."""
+        """Stop the cell if one estimator failed too often: more than the limit, or every one of the
+        first hundred.
+        """
         key, goal, most = self.keys[cell.id][name], self.goal[cell.id], self.options.max_failed
         loss, there = self.losses[key], self.there[key]
         hopeless = most < 1 and loss.count == there >= _HOPELESS
         if cell.id not in self.stopped and (loss.count > most * goal or hopeless):
-            again = tables.replay_command(self.out, cell.id, name, loss.first, cell.config, cell.plugins)
+            again = tables.replay_command(
+                self.out, cell.id, name, loss.first, cell.config, cell.plugins
+            )
             self.stopped[cell.id] = (
                 f"cell {cell.id} ({cell.scenario_name}, {cell.noise_name}) stopped: {name!r} failed in {loss.count} of "
                 f"{there} replications, more than runner.max_failed={most:g} of {goal}; "
@@ -147,7 +172,9 @@ class _Run:
             )
 
     def _precise(self, cell: Cell, until: Until) -> bool:
-        """Whether the means of the cell's estimators are known well enough; one without any value does not count."""
+        """Whether the means of the cell's estimators are known well enough; one without any value
+        does not count.
+        """
         goal = self.goal[cell.id]
         rows: dict[str, dict[str, Any]] = {}
         for name, key in self.keys[cell.id].items():
@@ -164,7 +191,9 @@ class _Run:
         return all(row["reached"] or math.isnan(row["mean"]) for row in rows.values())
 
     def _tabulate(self) -> int:
-        """Make the tables and measure times; returns how many estimator-replications the cells show."""
+        """Make the tables and measure times; returns how many estimator-replications the cells
+        show.
+        """
         known, shown = tables.known_timing(self.out), 0
         for cell in self.cells:
             keys = self.keys[cell.id]
@@ -178,12 +207,17 @@ class _Run:
         fresh: dict[str, Any] = {}
         for cell in self.cells:
             if cell.id not in self.stopped:
-                fresh |= _timed(cell, {n: key for n, key in self.keys[cell.id].items() if key not in known | fresh})
+                fresh |= _timed(
+                    cell,
+                    {n: key for n, key in self.keys[cell.id].items() if key not in known | fresh},
+                )
         tables.note_timing(self.out, fresh)
         return shown
 
     def _prefix(self, cell: Cell, key: str) -> int:
-        done = [(part.start, part.stop) for part in store.intact_parts(self.out, key, kind_of(cell))]
+        done = [
+            (part.start, part.stop) for part in store.intact_parts(self.out, key, kind_of(cell))
+        ]
         gaps = store.missing_ranges(done, self.goal[cell.id])
         return gaps[0][0] if gaps else self.goal[cell.id]
 
@@ -204,18 +238,26 @@ def _explained(out: Path) -> Iterator[None]:
     except MemoryError as error:
         raise RunError(f"out of memory ({error or 'no more to be had'}); {less}; {kept}") from error
     except BrokenExecutor as error:
-        raise RunError(f"a worker process was killed, for using too much memory perhaps; {less}; {kept}") from error
+        raise RunError(
+            f"a worker process was killed, for using too much memory perhaps; {less}; {kept}"
+        ) from error
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
-            raise RunError(f"the Dask cluster gave up: {type(error).__name__}: {error}; {kept}") from error
+            raise RunError(
+                f"the Dask cluster gave up: {type(error).__name__}: {error}; {kept}"
+            ) from error
         disk = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
         if not isinstance(error, OSError) or error.errno not in disk:
             raise
-        raise RunError(f"{out} cannot be written any more: {os.strerror(error.errno)}; {kept}") from error
+        raise RunError(
+            f"{out} cannot be written any more: {os.strerror(error.errno)}; {kept}"
+        ) from error
 
 
 def merged(cells: Sequence[Cell]) -> list[Cell]:
-    """Cells that are the same scenario, noise, seed and parameters as one, with all their estimators; largest first."""
+    """Cells that are the same scenario, noise, seed and parameters as one, with all their
+    estimators; largest first.
+    """
     found: dict[str, Cell] = {}
     for cell in cells:
         other = found.setdefault(cell.id, cell)
@@ -234,7 +276,9 @@ def merged(cells: Sequence[Cell]) -> list[Cell]:
 
 
 def writable(folder: str, key: str = "runner.out") -> Path:
-    """The folder, made if need be; UserError naming `key` if that, or writing into it, is not possible."""
+    """The folder, made if need be; UserError naming `key` if that, or writing into it, is not
+    possible.
+    """
     try:
         path = Path(folder).expanduser()
         path.mkdir(parents=True, exist_ok=True)
@@ -243,11 +287,15 @@ def writable(folder: str, key: str = "runner.out") -> Path:
         probe.unlink()
     except (OSError, ValueError, RuntimeError) as error:
         why = getattr(error, "strerror", None) or error
-        raise UserError(f"{key}={folder!r} cannot be written: {why}; allowed: a writable folder") from None
+        raise UserError(
+            f"{key}={folder!r} cannot be written: {why}; allowed: a writable folder"
+        ) from None
     return path
 
 
-def _tasks(cell: Cell, keys: Mapping[str, str], done: Mapping[str, list[store.Part]], goal: int) -> Iterator[Task]:
+def _tasks(
+    cell: Cell, keys: Mapping[str, str], done: Mapping[str, list[store.Part]], goal: int
+) -> Iterator[Task]:
     """Blocks of whole tiles of what is missing of the estimators in `done`, whose parts are there.
 
     Estimators of one tile size that miss the same share a block, and so its draws.
@@ -258,7 +306,9 @@ def _tasks(cell: Cell, keys: Mapping[str, str], done: Mapping[str, list[store.Pa
         for gap in store.missing_ranges(ranges, goal):
             gaps[*gap, montecarlo.tile_of(cell.estimators[name], cell.scenario)][name] = keys[name]
     for (start, stop, tile), names in sorted(gaps.items()):
-        chunk = cell.runner.chunk or min(math.ceil((stop - start) / (16 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK)
+        chunk = cell.runner.chunk or min(
+            math.ceil((stop - start) / (16 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK
+        )
         chunk = math.ceil(chunk / tile) * tile
         for first in range(start - start % chunk, stop, chunk):
             yield Task(cell, names, max(first, start), min(first + chunk, stop))
@@ -269,7 +319,9 @@ def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
     if not keys:
         return {}
     estimators = {name: cell.estimators[name] for name in keys}
-    repeats = 1 if cell.reps < _FEW else 3  # of many small cells nobody wants to wait for the timing
+    repeats = (
+        1 if cell.reps < _FEW else 3
+    )  # of many small cells nobody wants to wait for the timing
     measured = montecarlo.time_estimators(cell.scenario, cell.noise, estimators, cell.seed, repeats)
     return {
         keys[name]: {

@@ -1,4 +1,5 @@
-"""Parquet in and out: parts that are never computed twice, their keys, their provenance and integrity.
+"""Parquet in and out: parts that are never computed twice, their keys, their provenance and
+integrity.
 
     <out>/parts/<key>/<start>-<stop>.<kind>.<unique>.parquet   rows (or steps, or fixes) of one estimator in one cell,
                                                                provenance as metadata
@@ -6,8 +7,9 @@
                                                              the part is computed again
     <out>/parts/<key>/<start>-<stop>.json.damaged            a seal that did not match its files
 
-A part's key covers everything its numbers depend on (scenario, noise, this estimator's config, seed, source code,
-library versions) and nothing else; the tables that people read are made from the parts by `tables`.
+A part's key covers everything its numbers depend on (scenario, noise, this estimator's config,
+seed, source code, library versions) and nothing else; the tables that people read are made from the
+parts by `tables`.
 """
 
 from __future__ import annotations
@@ -63,25 +65,35 @@ def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = No
     import pyarrow as pa
 
     types = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "bool": pa.bool_()}
-    types |= {"floats": pa.list_(pa.float32()), "bytes": pa.list_(pa.int8()), "ints": pa.list_(pa.int32())}
+    types |= {
+        "floats": pa.list_(pa.float32()),
+        "bytes": pa.list_(pa.int8()),
+        "ints": pa.list_(pa.int32()),
+    }
     meta = {"aoabench": json.dumps(provenance, default=str)} if provenance else None
     return pa.schema([(name, types[kind]) for name, kind in columns.items()], metadata=meta)
 
 
-# --- keys -------------------------------------------------------------------------------------------------------------
+# --- keys -----------------------------------------------------------------------------------------
 
 
 def shipped(folder: str) -> Path:
-    """Where `configs` or `experiments` lie: inside the installed package, or beside it in a checkout."""
+    """Where `configs` or `experiments` lie: inside the installed package, or beside it in a
+    checkout.
+    """
     package = Path(__file__).resolve().parent
     inside = package / folder
     return inside if inside.is_dir() else package.parent / folder
 
 
 def part_key(cell: Any, estimator: str, draws: str | None = None) -> str:
-    """Hash of everything that one estimator's rows in one cell depend on; `draws` is the cell's draws_key, if known."""
+    """Hash of everything that one estimator's rows in one cell depend on; `draws` is the cell's
+    draws_key, if known.
+    """
     obj = cell.estimators[estimator]
-    preset = {**(cell.config.get("filter") or {}), **(cell.config.get("estimator") or {})}.get(estimator)
+    preset = {**(cell.config.get("filter") or {}), **(cell.config.get("estimator") or {})}.get(
+        estimator
+    )
     return digest({
         "draws": draws or draws_key(cell),
         "estimator": _described(obj) if preset is None else preset,
@@ -102,7 +114,9 @@ def draws_key(cell: Any) -> str:
 
 
 def code_key(cell: Any) -> str:
-    """Hash of the source and libraries that a cell's numbers depend on, as they are where this is called."""
+    """Hash of the source and libraries that a cell's numbers depend on, as they are where this is
+    called.
+    """
     modules = _modules([cell.scenario, cell.noise, *cell.estimators.values()]) - {"__main__"}
     source = source_hash({"aoabench.montecarlo", *modules}, cell.plugins)
     return digest([source, _versions()])
@@ -133,17 +147,29 @@ def _modules(values: Iterable[Any]) -> set[str]:
         if isinstance(value, list | tuple):
             found |= _modules(value)
         elif is_dataclass(value) or callable(value):
-            found.add(type(value).__module__ if not isinstance(value, FunctionType) else value.__module__)
-            found |= _modules(getattr(value, f.name) for f in fields(value)) if is_dataclass(value) else set()
+            found.add(
+                type(value).__module__ if not isinstance(value, FunctionType) else value.__module__
+            )
+            found |= (
+                _modules(getattr(value, f.name) for f in fields(value))
+                if is_dataclass(value)
+                else set()
+            )
     return found
 
 
 def _described(value: Any) -> Any:
-    """The content of an object as plain values; something unique, so that nothing is reused, where it is unknown."""
+    """The content of an object as plain values; something unique, so that nothing is reused, where
+    it is unknown.
+    """
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.ndarray) and value.dtype != object:
-        return [str(value.dtype), value.shape, hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest()]
+        return [
+            str(value.dtype),
+            value.shape,
+            hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest(),
+        ]
     if isinstance(value, list | tuple):
         return [_described(v) for v in value]
     if isinstance(value, dict):
@@ -155,8 +181,9 @@ def _described(value: Any) -> Any:
 
 
 def source_hash(roots: Iterable[str], plugins: Sequence[str] = ()) -> str:
-    """Hash of the syntax trees, docstrings left out, of the modules `roots` and of all they import, as far as that is
-    not an installed library. A class typed into a session has no file: its hash is unique, so it is never reused.
+    """Hash of the syntax trees, docstrings left out, of the modules `roots` and of all they import,
+    as far as that is not an installed library. A class typed into a session has no file: its hash
+    is unique, so it is never reused.
     """
     ours = ("aoabench", *plugins)
     seen: dict[str, str] = {}
@@ -175,7 +202,11 @@ def source_hash(roots: Iterable[str], plugins: Sequence[str] = ()) -> str:
         stat = file.stat()
         seen[name], imports = _parsed(file, stat.st_mtime_ns, stat.st_size)
         for level, base, names in imports:
-            full = importlib.util.resolve_name("." * level + base, _package(name, file)) if level else base
+            full = (
+                importlib.util.resolve_name("." * level + base, _package(name, file))
+                if level
+                else base
+            )
             inner = [f"{full}.{n}" for n in names]
             todo += [n if _file_of(n) else full for n in inner] or [full]
     return digest(sorted(seen.items()))
@@ -205,7 +236,10 @@ def _parsed(file: Path, mtime: int, size: int) -> tuple[str, list[tuple[int, str
             imports += [(0, alias.name, []) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             imports.append((node.level, node.module or "", [alias.name for alias in node.names]))
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and node.body:
+        if (
+            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+            and node.body
+        ):
             first = node.body[0]
             if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
                 node.body = node.body[1:]
@@ -242,7 +276,10 @@ def provenance(config: Any = None) -> dict[str, Any]:
         "config": config,
         "aoabench": version("aoabench"),
         "python": sys.version.split()[0],
-        "libraries": {n: version(n) for n in ("numpy", "scipy", "pandas", "pyarrow", "hydra-core", "joblib", "numba")},
+        "libraries": {
+            n: version(n)
+            for n in ("numpy", "scipy", "pandas", "pyarrow", "hydra-core", "joblib", "numba")
+        },
         "cpu_features": _cpu_features(),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -254,15 +291,16 @@ def _cpu_features() -> list[str]:
     return sorted([*found.get("baseline", []), *found.get("found", [])])
 
 
-# --- parts ------------------------------------------------------------------------------------------------------------
+# --- parts ----------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Hold the folder's lock: one run at a time writes into it; `say` gets a line if another one has to end first.
+    """Hold the folder's lock: one run at a time writes into it; `say` gets a line if another one
+    has to end first.
 
-    The system lets go of the lock whatever ends the process. Where file systems have no locks, runs that overlap
-    compute some parts twice and the tables show the cells of the one that ended last.
+    The system lets go of the lock whatever ends the process. Where file systems have no locks, runs
+    that overlap compute some parts twice and the tables show the cells of the one that ended last.
     """
     try:
         import fcntl
@@ -275,10 +313,14 @@ def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
-            say(f"another run{file.readline().rstrip()} is writing into {out}: waiting until it has ended ...")
+            say(
+                f"another run{file.readline().rstrip()} is writing into {out}: waiting until it has ended ..."
+            )
             fcntl.flock(file, fcntl.LOCK_EX)
         except OSError as error:
-            say(f"{out}: no file locks here ({error.strerror}); do not start two runs into it at once")
+            say(
+                f"{out}: no file locks here ({error.strerror}); do not start two runs into it at once"
+            )
         file.truncate(0)
         file.write(f" (process {os.getpid()} on {platform.node()})\n")
         file.flush()
@@ -287,7 +329,9 @@ def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
 
 
 def write_atomically(path: Path, write: Any) -> None:
-    """Call `write(temporary path)` and move the result to `path`, so that a reader never sees half a file."""
+    """Call `write(temporary path)` and move the result to `path`, so that a reader never sees half
+    a file.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
     try:
@@ -298,7 +342,9 @@ def write_atomically(path: Path, write: Any) -> None:
 
 
 def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> str:
-    """Columns of equal length to a Parquet file of this schema, atomically; returns the checksum of its content."""
+    """Columns of equal length to a Parquet file of this schema, atomically; returns the checksum of
+    its content.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -306,7 +352,9 @@ def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> s
         values = columns[field.name]
         if pa.types.is_list(field.type):  # a row of an array (N, T) each
             offsets = np.arange(len(values) + 1, dtype=np.int32) * np.shape(values)[1]
-            return pa.ListArray.from_arrays(offsets, pa.array(np.ravel(values), type=field.type.value_type))
+            return pa.ListArray.from_arrays(
+                offsets, pa.array(np.ravel(values), type=field.type.value_type)
+            )
         return pa.array(values, type=field.type, from_pandas=field.name in IDENTITY)
 
     table = pa.table([column(field) for field in schema_], schema=schema_)
@@ -327,7 +375,10 @@ def write_frame(path: Path, frame: pd.DataFrame, origin: Mapping[str, Any] | Non
     import pyarrow.parquet as pq
 
     table = pa.Table.from_pandas(frame, preserve_index=False)
-    meta = {**(table.schema.metadata or {}), b"aoabench": json.dumps(origin or provenance(), default=str).encode()}
+    meta = {
+        **(table.schema.metadata or {}),
+        b"aoabench": json.dumps(origin or provenance(), default=str).encode(),
+    }
     table = table.replace_schema_metadata(meta)
     write_atomically(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
 
@@ -342,7 +393,9 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Part:
-    """Replications start..stop-1 of one estimator, and the file of each kind (see KINDS) that it consists of."""
+    """Replications start..stop-1 of one estimator, and the file of each kind (see KINDS) that it
+    consists of.
+    """
 
     start: int
     stop: int
@@ -350,12 +403,17 @@ class Part:
 
 
 def write_part(
-    out: Path, key: str, start: int, stop: int, block: Mapping[str, Mapping[str, Any]], origin: Mapping[str, Any]
+    out: Path,
+    key: str,
+    start: int,
+    stop: int,
+    block: Mapping[str, Mapping[str, Any]],
+    origin: Mapping[str, Any],
 ) -> None:
     """What a block found for one estimator, a table for each kind.
 
-    Files get names of their own; the seal <start>-<stop>.json, written last, names them with their checksums and makes
-    the part count. So two processes that write the same part do not mix.
+    Files get names of their own; the seal <start>-<stop>.json, written last, names them with their
+    checksums and makes the part count. So two processes that write the same part do not mix.
     """
     folder, span = out / "parts" / key, f"{start:09d}-{stop:09d}"
     written = {}
@@ -364,7 +422,9 @@ def write_part(
         inner = {name: type_ for name, type_ in KINDS[kind].items() if name not in IDENTITY}
         written[kind] = [path.name, write_table(path, content, schema(inner, origin))]
     seal = json.dumps(written)
-    write_atomically(folder / f"{span}.json", lambda temporary: temporary.write_text(seal, encoding="utf-8"))
+    write_atomically(
+        folder / f"{span}.json", lambda temporary: temporary.write_text(seal, encoding="utf-8")
+    )
 
 
 def _checksum(path: Path) -> str:
@@ -384,7 +444,9 @@ def _unsealed(seal: Path) -> Part | None:
 
 
 def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:
-    """The parts whose checksums fit and that have this kind, in order; a torn or altered one is not listed."""
+    """The parts whose checksums fit and that have this kind, in order; a torn or altered one is not
+    listed.
+    """
     parts = (_unsealed(seal) for seal in sorted((out / "parts" / key).glob("*.json")))
     return [part for part in parts if part is not None and kind in part.files]
 
@@ -397,7 +459,9 @@ def has_part(out: Path, key: str, start: int, stop: int, kind: str = "rows") -> 
 
 
 def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
-    """All intact parts, in order, and the seals that do not fit their files, renamed so that they are told of once."""
+    """All intact parts, in order, and the seals that do not fit their files, renamed so that they
+    are told of once.
+    """
     parts, damaged = [], []
     for seal in sorted((out / "parts" / key).glob("*.json")):
         part = _unsealed(seal)

@@ -1,7 +1,8 @@
 """Random streams, one for each (root seed, scenario name, replication, role).
 
-No stream knows the estimator, the worker or the task, so every estimator and every job of a sweep sees the same draws
-(paired comparisons), replications can be added later, and one replication can be repeated by its number.
+No stream knows the estimator, the worker or the task, so every estimator and every job of a sweep
+sees the same draws (paired comparisons), replications can be added later, and one replication can
+be repeated by its number.
 """
 
 from __future__ import annotations
@@ -22,20 +23,26 @@ def _words(name: str) -> tuple[int, ...]:
     return tuple(int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
 
 
-def generator(seed: int, scenario: str, replication: int, role: int, purpose: int = 0) -> np.random.Generator:
+def generator(
+    seed: int, scenario: str, replication: int, role: int, purpose: int = 0
+) -> np.random.Generator:
     """The generator of one role in one replication.
 
-    `seed >= 0` is the root seed, `scenario` the scenario's name, `replication >= 0` its number. Equal arguments give
-    equal draws; streams with any differing argument are independent.
+    `seed >= 0` is the root seed, `scenario` the scenario's name, `replication >= 0` its number.
+    Equal arguments give equal draws; streams with any differing argument are independent.
     """
-    sequence = np.random.SeedSequence((seed, *_words(scenario), replication), spawn_key=(role, purpose))
+    sequence = np.random.SeedSequence(
+        (seed, *_words(scenario), replication), spawn_key=(role, purpose)
+    )
     return np.random.Generator(np.random.Philox(sequence))
 
 
 @lru_cache(maxsize=256)
 def philox_key(seed: int, scenario: str, role: int, purpose: int) -> tuple[int, int]:
     """The key (two words of 32 bits) of a counter-based generator for one role in all replications."""
-    first, second = np.random.SeedSequence((seed, *_words(scenario)), spawn_key=(role, purpose)).generate_state(2)
+    first, second = np.random.SeedSequence(
+        (seed, *_words(scenario)), spawn_key=(role, purpose)
+    ).generate_state(2)
     return int(first), int(second)
 
 
@@ -52,5 +59,7 @@ class Streams:
         return generator(self.seed, self.scenario, self.replications[i], ESTIMATOR, purpose)
 
     def philox_key(self, purpose: int = PARTICLES) -> tuple[int, int]:
-        """Two words of 32 bits for draws by counter; the replication's number belongs into the counter."""
+        """Two words of 32 bits for draws by counter; the replication's number belongs into the
+        counter.
+        """
         return philox_key(self.seed, self.scenario, ESTIMATOR, purpose)

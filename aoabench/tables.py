@@ -66,12 +66,13 @@ def record_cell(
     reps: Mapping[str, int],
     precision: Mapping[str, Any],
 ) -> None:
-    """Note that the tables of `out` shall show this cell with the first `reps` replications of these estimators.
+    """Note that the tables of `out` shall show this cell with the first `reps` replications of
+    these estimators.
 
     `precision` is what each reached of cell.runner.until.
 
-    Estimators noted earlier stay, if they saw the same draws; those of an older simulation are dropped, because nobody
-    may pair them.
+    Estimators noted earlier stay, if they saw the same draws; those of an older simulation are
+    dropped, because nobody may pair them.
     """
     path = out / "cells" / f"{cell.id}.json"
     before = _read_record(path)
@@ -82,11 +83,19 @@ def record_cell(
         if not reps[name]:
             entries.pop(name, None)
             continue
-        entries[name] = {"key": key, "reps": reps[name], "steps": cell.runner.steps, "timing": timing.get(key)}
+        entries[name] = {
+            "key": key,
+            "reps": reps[name],
+            "steps": cell.runner.steps,
+            "timing": timing.get(key),
+        }
         entries[name] |= {"precision": precision.get(name)}
     config = dict(cell.config)
     for group in ("filter", "estimator"):
-        config[group] = {**(before.get("config", {}).get(group) or {}), **(cell.config.get(group) or {})}
+        config[group] = {
+            **(before.get("config", {}).get(group) or {}),
+            **(cell.config.get(group) or {}),
+        }
     record = {
         "cell": cell.id, "experiment": cell.experiment or before.get("experiment"), "scenario": cell.scenario_name,
         "noise": cell.noise_name, "seed": cell.seed, "draws": draws, "changed": dict(cell.changed),
@@ -99,7 +108,9 @@ def record_cell(
 
 def _write_record(out: Path, record: Mapping[str, Any]) -> None:
     text = json.dumps(record, indent=1, default=str)
-    write_atomically(out / "cells" / f"{record['cell']}.json", lambda t: t.write_text(text, encoding="utf-8"))
+    write_atomically(
+        out / "cells" / f"{record['cell']}.json", lambda t: t.write_text(text, encoding="utf-8")
+    )
 
 
 def _read_record(path: Path) -> dict[str, Any]:
@@ -120,13 +131,20 @@ def records(out: Path) -> list[dict[str, Any]]:
 
 def known_timing(out: Path) -> dict[str, Any]:
     """Timings noted so far, by part key."""
-    return {e["key"]: e["timing"] for r in records(out) for e in r["estimators"].values() if e.get("timing")}
+    return {
+        e["key"]: e["timing"]
+        for r in records(out)
+        for e in r["estimators"].values()
+        if e.get("timing")
+    }
 
 
 def collect(out: Path, only: Iterable[str] | None = None) -> None:
-    """Make the tables of `out` from its parts; `only` names the cells whose rows have changed (None: all).
+    """Make the tables of `out` from its parts; `only` names the cells whose rows have changed
+    (None: all).
 
-    Raises UserError if `out` holds no run, and RunError if a part has vanished, so that no table is silently short.
+    Raises UserError if `out` holds no run, and RunError if a part has vanished, so that no table is
+    silently short.
     """
     import pandas as pd
 
@@ -143,7 +161,14 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
             else:
                 (out / "steps.parquet" / f"{record['cell']}.parquet").unlink(missing_ok=True)
     swept = swept_parameters(noted)
-    noted.sort(key=lambda r: (r["experiment"] or "", r["scenario"], r["noise"], _natural(swept[r["cell"]].values())))
+    noted.sort(
+        key=lambda r: (
+            r["experiment"] or "",
+            r["scenario"],
+            r["noise"],
+            _natural(swept[r["cell"]].values()),
+        )
+    )
     cells = pd.DataFrame(
         [
             {
@@ -175,7 +200,9 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
 
 
 def one_kind(values: pd.Series) -> pd.Series:
-    """A column that Parquet can hold: as it is if all values are numbers, all text or all true or false, else text."""
+    """A column that Parquet can hold: as it is if all values are numbers, all text or all true or
+    false, else text.
+    """
     there = values.dropna()
     kinds = {bool if isinstance(v, bool) else str if isinstance(v, str) else float for v in there}
     text = there.map(lambda v: v if isinstance(v, str) else json.dumps(v))
@@ -183,11 +210,15 @@ def one_kind(values: pd.Series) -> pd.Series:
 
 
 def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
-    """The replications of all cells with the columns of the cell table that they lack, cell by cell into one file."""
+    """The replications of all cells with the columns of the cell table that they lack, cell by cell
+    into one file.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    extra = [c for c in cells.columns if c not in REPLICATIONS and c not in ("config", "estimators")]
+    extra = [
+        c for c in cells.columns if c not in REPLICATIONS and c not in ("config", "estimators")
+    ]
     beside = pa.Table.from_pandas(cells[extra], preserve_index=False)
     outer = pa.schema([*schema(REPLICATIONS), *beside.schema.remove_metadata()])
     outer = outer.with_metadata({"aoabench": json.dumps(provenance())})
@@ -197,11 +228,15 @@ def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
     ]  # others gain nothing by a dictionary
 
     def write(temporary: Path) -> None:
-        with pq.ParquetWriter(temporary, outer, compression="zstd", use_dictionary=repeated) as writer:
+        with pq.ParquetWriter(
+            temporary, outer, compression="zstd", use_dictionary=repeated
+        ) as writer:
             for i, cell in enumerate(cells["cell"]):
                 rows = pq.read_table(out / "replications.parquet" / f"{cell}.parquet")
                 same = [pa.repeat(column[i], len(rows)) for column in beside.columns]
-                writer.write_table(pa.table([rows[name] for name in REPLICATIONS] + same, schema=outer))
+                writer.write_table(
+                    pa.table([rows[name] for name in REPLICATIONS] + same, schema=outer)
+                )
 
     write_atomically(out / "tidy.parquet", write)
 
@@ -235,7 +270,9 @@ def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]], columns: Mapping[
 
 
 def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, str]:
-    """What went wrong in the first `reps` replications of some parts, by number; `lost`: where no position was left."""
+    """What went wrong in the first `reps` replications of some parts, by number; `lost`: where no
+    position was left.
+    """
     import pyarrow.parquet as pq
 
     found: dict[int, str] = {}
@@ -247,9 +284,16 @@ def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, st
 
 
 def replay_command(
-    out: Path | str, cell: str, estimator: str, replication: int, config: Mapping[str, Any], plugins: Sequence[str] = ()
+    out: Path | str,
+    cell: str,
+    estimator: str,
+    replication: int,
+    config: Mapping[str, Any],
+    plugins: Sequence[str] = (),
 ) -> str | None:
-    """The command that repeats one replication with its trace; None for an estimator that no preset describes."""
+    """The command that repeats one replication with its trace; None for an estimator that no preset
+    describes.
+    """
     if estimator not in {**(config.get("filter") or {}), **(config.get("estimator") or {})}:
         return None
     words = [
@@ -266,7 +310,9 @@ def replay_command(
     return shlex.join([*words, "--plugins", ",".join(plugins)] if plugins else words)
 
 
-def _failures(out: Path, record: Mapping[str, Any], name: str, rows: pd.DataFrame) -> list[dict[str, Any]]:
+def _failures(
+    out: Path, record: Mapping[str, Any], name: str, rows: pd.DataFrame
+) -> list[dict[str, Any]]:
     """Rows of the failures table: one estimator's replications in which a fix failed."""
     failed = rows[rows["n_failed"] > 0]
     if failed.empty:
@@ -279,7 +325,12 @@ def _failures(out: Path, record: Mapping[str, Any], name: str, rows: pd.DataFram
             **{str(k): v for k, v in row.items()},
             "error": said.get(row["replication"]),
             "replay": replay_command(
-                out, record["cell"], name, row["replication"], record["config"], record.get("plugins", ())
+                out,
+                record["cell"],
+                name,
+                row["replication"],
+                record["config"],
+                record.get("plugins", ()),
             ),
         }
         for row in failed[columns].to_dict("records")
@@ -308,7 +359,10 @@ def _collect_rows(out: Path, record: Mapping[str, Any], kind: str) -> None:
                 for part in _noted_parts(out, entry, kind):
                     same = {**{k: record[k] for k in IDENTITY[:4]}, "estimator": name}
                     full = [
-                        pa.array([same[f.name]] * len(part), f.type) if f.name in same else part[f.name] for f in outer
+                        pa.array([same[f.name]] * len(part), f.type)
+                        if f.name in same
+                        else part[f.name]
+                        for f in outer
                     ]
                     writer.write_table(pa.table(full, schema=outer))
 
@@ -316,7 +370,9 @@ def _collect_rows(out: Path, record: Mapping[str, Any], kind: str) -> None:
 
 
 def _noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.Table]:
-    """The parts of one noted estimator as tables, cut to its replications 0 ... reps-1 and in their order."""
+    """The parts of one noted estimator as tables, cut to its replications 0 ... reps-1 and in their
+    order.
+    """
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
@@ -339,10 +395,12 @@ def _noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.
 
 @dataclass(frozen=True)
 class Fixes:
-    """Every fix of one estimator in one cell whose replications share their true positions; arrays (R, T).
+    """Every fix of one estimator in one cell whose replications share their true positions; arrays
+    (R, T).
 
-    error_3d_m, error_xy_m in m (NaN: no position), iterations, score and anchors_used of types.Estimates (NaN: none
-    told), outcome of types.Outcome, place the number of the true position, which several fixes may share.
+    error_3d_m, error_xy_m in m (NaN: no position), iterations, score and anchors_used of
+    types.Estimates (NaN: none told), outcome of types.Outcome, place the number of the true
+    position, which several fixes may share.
     """
 
     error_3d_m: np.ndarray
@@ -357,10 +415,14 @@ class Fixes:
 def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
     """The fixes of one estimator in one cell of the run in `out`; UserError where there are none."""
     entry = _read_record(Path(out) / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
-    found = [] if entry is None else [_fixes(part) for part in _noted_parts(Path(out), entry, "fixes")]
+    found = (
+        [] if entry is None else [_fixes(part) for part in _noted_parts(Path(out), entry, "fixes")]
+    )
     if not found:
         raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r}")
-    return Fixes(**{f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Fixes)})
+    return Fixes(
+        **{f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Fixes)}
+    )
 
 
 def _fixes(part: pa.Table) -> Fixes:
@@ -372,9 +434,13 @@ def _fixes(part: pa.Table) -> Fixes:
 
 
 def clusters(
-    out: str | os.PathLike[str], cell: str, estimator: str, replications: Iterable[int] | None = None
+    out: str | os.PathLike[str],
+    cell: str,
+    estimator: str,
+    replications: Iterable[int] | None = None,
 ) -> statistics.Clusters | None:
-    """Sums per true position over all, or some, replications of one estimator in one cell, read part by part.
+    """Sums per true position over all, or some, replications of one estimator in one cell, read
+    part by part.
 
     None where the replications do not share their positions.
     """
@@ -393,38 +459,64 @@ def clusters(
             if len(part) == 0:
                 continue
         one = _fixes(part)
-        accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED]) & np.isfinite(one.error_xy_m)
+        accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED]) & np.isfinite(
+            one.error_xy_m
+        )
         found = statistics.clusters(one.error_3d_m, one.error_xy_m, one.iterations, accepted)
         total, place = found if total is None else total + found, one.place
     return None if total is None or place is None else total.grouped(place[0])
 
 
 def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Per cell, the dotted parameters that differ between the cells or that a command line or experiment set."""
+    """Per cell, the dotted parameters that differ between the cells or that a command line or
+    experiment set.
+    """
     full = {r["cell"]: dict(flatten(r["config"])) | r["changed"] for r in noted}
-    names = {name for leaves in full.values() for name in leaves if name.startswith(("scenario.", "noise."))}
-    varied = {name for name in names if len({json.dumps(leaves.get(name)) for leaves in full.values()}) > 1}
-    varied |= {name for r in noted for name in (*r["changed"], *r["swept"]) if name in full[r["cell"]]}
+    names = {
+        name
+        for leaves in full.values()
+        for name in leaves
+        if name.startswith(("scenario.", "noise."))
+    }
+    varied = {
+        name
+        for name in names
+        if len({json.dumps(leaves.get(name)) for leaves in full.values()}) > 1
+    }
+    varied |= {
+        name for r in noted for name in (*r["changed"], *r["swept"]) if name in full[r["cell"]]
+    }
     keep = sorted(name for name in varied if not name.endswith("_target_") and name != "seed")
-    found = {cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in full.items()}
+    found = {
+        cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in full.items()
+    }
     for name in keep:
-        if len({_kind(values[name]) for values in found.values()} - {None}) > 1:  # a number here, a list there: texts
+        if (
+            len({_kind(values[name]) for values in found.values()} - {None}) > 1
+        ):  # a number here, a list there: texts
             for values in found.values():
                 values[name] = None if values[name] is None else str(values[name])
     return found
 
 
 def _kind(value: Any) -> str | None:
-    return None if value is None else "number" if type(value) in (int, float) else type(value).__name__
+    return (
+        None if value is None else "number" if type(value) in (int, float) else type(value).__name__
+    )
 
 
 def _natural(values: Iterable[Any]) -> list[tuple[bool, float, str]]:
     """Sort key: numbers by value, everything else by its text."""
-    return [(not isinstance(v, int | float), float(v) if isinstance(v, int | float) else 0.0, str(v)) for v in values]
+    return [
+        (not isinstance(v, int | float), float(v) if isinstance(v, int | float) else 0.0, str(v))
+        for v in values
+    ]
 
 
 def _scalar(value: Any) -> Any:
-    return value if value is None or isinstance(value, bool | int | float | str) else json.dumps(value)
+    return (
+        value if value is None or isinstance(value, bool | int | float | str) else json.dumps(value)
+    )
 
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
@@ -436,8 +528,14 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
 
     root = Path(out)
     if not (root / "cells.parquet").exists() or not (root / "replications.parquet").is_dir():
-        raise UserError(f"{root}: no results here; allowed: the runner.out folder of a finished run")
+        raise UserError(
+            f"{root}: no results here; allowed: the runner.out folder of a finished run"
+        )
     cells = pd.read_parquet(root / "cells.parquet").drop(columns=["config", "estimators"])
-    rows = pd.concat([pd.read_parquet(f) for f in sorted((root / "replications.parquet").glob("*.parquet"))])
+    rows = pd.concat(
+        [pd.read_parquet(f) for f in sorted((root / "replications.parquet").glob("*.parquet"))]
+    )
     extra = [c for c in cells.columns if c == "cell" or c not in rows.columns]
-    return rows.merge(cells[extra], on="cell", how="left", validate="many_to_one").reset_index(drop=True)
+    return rows.merge(cells[extra], on="cell", how="left", validate="many_to_one").reset_index(
+        drop=True
+    )

@@ -1,7 +1,8 @@
-"""The types that everything shares: anchors, batches, estimates, the protocols, and checks of parameters.
+"""The types that everything shares: anchors, batches, estimates, the protocols, and checks of
+parameters.
 
-Axes: R replications, T steps (or points), B anchors, n state dimensions, m = B x d measurement components.
-SI units and radians unless a name says otherwise. NaN means "not measured".
+Axes: R replications, T steps (or points), B anchors, n state dimensions, m = B x d measurement
+components. SI units and radians unless a name says otherwise. NaN means "not measured".
 """
 
 from __future__ import annotations
@@ -57,15 +58,25 @@ def check_number(
     integer: bool = False,
     optional: bool = False,
 ) -> None:
-    """Raise BadValue unless `value` is a finite number in (above, most] and [least, most] (or None if optional)."""
+    """Raise BadValue unless `value` is a finite number in (above, most] and [least, most] (or None
+    if optional).
+    """
     kind = "an integer" if integer else "a number"
-    bounds = [f"> {above:g}"] if above > -math.inf else [f">= {least:g}"] if least > -math.inf else []
+    bounds = (
+        [f"> {above:g}"] if above > -math.inf else [f">= {least:g}"] if least > -math.inf else []
+    )
     bounds += [f"<= {most:g}"] if most < math.inf else []
     allowed = " ".join([kind, " and ".join(bounds)]).strip() + (", or null" if optional else "")
     if value is None and optional:
         return
-    good = isinstance(value, (int, np.integer) if integer else (int, float, np.integer, np.floating))
-    if not good or isinstance(value, bool) or (isinstance(value, float) and not math.isfinite(value)):
+    good = isinstance(
+        value, (int, np.integer) if integer else (int, float, np.integer, np.floating)
+    )
+    if (
+        not good
+        or isinstance(value, bool)
+        or (isinstance(value, float) and not math.isfinite(value))
+    ):
         raise BadValue(key, value, allowed)
     if not (above < value and least <= value <= most):  # type: ignore[operator]
         raise BadValue(key, value, allowed)
@@ -84,7 +95,9 @@ def check_array(key: str, value: object, shape: tuple[int | None, ...]) -> Array
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
         raise BadValue(key, value, wanted) from None
-    fits = array.ndim == len(shape) and all(a == s if s else a > 0 for a, s in zip(array.shape, shape))
+    fits = array.ndim == len(shape) and all(
+        a == s if s else a > 0 for a, s in zip(array.shape, shape)
+    )
     if not fits or not np.all(np.isfinite(array)):
         raise BadValue(key, value, wanted)
     return array
@@ -92,7 +105,8 @@ def check_array(key: str, value: object, shape: tuple[int | None, ...]) -> Array
 
 @dataclass(frozen=True)
 class Anchors:
-    """Anchors as an estimator knows them: position (R|1, B, 3) m, rotation (R|1, B, 3, 3) global -> anchor frame.
+    """Anchors as an estimator knows them: position (R|1, B, 3) m, rotation (R|1, B, 3, 3) global ->
+    anchor frame.
 
     position_sigma (R|1, B, 3) m: stated deviations of the positions; None where they are exact.
     """
@@ -115,8 +129,8 @@ class Anchors:
 class Measurements:
     """What a noise model makes of one replication; every array (T, B) or None, NaN = not measured.
 
-    azimuth in (-pi, pi] and elevation rad in the anchor's frame, delay s, rssi dBm; the sigmas are the qualities that
-    the device itself would state (rad, s).
+    azimuth in (-pi, pi] and elevation rad in the anchor's frame, delay s, rssi dBm; the sigmas are
+    the qualities that the device itself would state (rad, s).
     """
 
     azimuth: Array
@@ -130,10 +144,11 @@ class Measurements:
 
 @dataclass(frozen=True)
 class Batch:
-    """What an estimator gets: the measurements of a tile of replications, each array (R, T, B) or None.
+    """What an estimator gets: the measurements of a tile of replications, each array (R, T, B) or
+    None.
 
-    prior_mean (R, n) and prior_cov (n, n) describe the state before the first step (None for snapshot scenarios);
-    truth is not in here.
+    prior_mean (R, n) and prior_cov (n, n) describe the state before the first step (None for
+    snapshot scenarios); truth is not in here.
     """
 
     azimuth: Array
@@ -150,10 +165,12 @@ class Batch:
 
 @dataclass(frozen=True)
 class Estimates:
-    """position (R, T, 3) m, covariance (R, T, 3, 3) m^2 | None, iterations (R, T) | None, outcome (R, T) of Outcome.
+    """position (R, T, 3) m, covariance (R, T, 3, 3) m^2 | None, iterations (R, T) | None, outcome
+    (R, T) of Outcome.
 
-    z is NaN where a method works in the plane alone. score (R, T): how badly the measurements of a fix agree, the
-    larger the worse, in a unit of the method's own, NaN = cannot tell; anchors_used (R, T): how many it rests on.
+    z is NaN where a method works in the plane alone. score (R, T): how badly the measurements of a
+    fix agree, the larger the worse, in a unit of the method's own, NaN = cannot tell; anchors_used
+    (R, T): how many it rests on.
     """
 
     position: Array
@@ -173,13 +190,15 @@ class Motion(Protocol):
 
 
 class Scenario(Protocol):
-    """Where things are and how the target moves. `name` keys the random streams; state[:3] is the position in m.
+    """Where things are and how the target moves. `name` keys the random streams; state[:3] is the
+    position in m.
 
-    Optional: `same_truth` (all replications share their true positions), `files` (paths that it read: results are keyed
-    on their content), `reported(points (T, 3)) -> (T, B)` (which anchors measure), `height_m` (the target's known z),
-    `bounds_m` ((2, 2): lower and upper corner in x and y, outside of which no target can be), `days_of (T,)` (which day
-    each step is of), `recorded` (a Measurements that takes the place of the noise's), `replications` (how many there
-    are, for what cannot be drawn again), `notes` (lines for whoever runs it).
+    Optional: `same_truth` (all replications share their true positions), `files` (paths that it
+    read: results are keyed on their content), `reported(points (T, 3)) -> (T, B)` (which anchors
+    measure), `height_m` (the target's known z), `bounds_m` ((2, 2): lower and upper corner in x and
+    y, outside of which no target can be), `days_of (T,)` (which day each step is of), `recorded` (a
+    Measurements that takes the place of the noise's), `replications` (how many there are, for what
+    cannot be drawn again), `notes` (lines for whoever runs it).
     """
 
     @property
@@ -203,8 +222,8 @@ class Scenario(Protocol):
 class Noise(Protocol):
     """How true geometry becomes measurements.
 
-    An optional method `known_anchors(rng, scenario) -> Anchors` (1, B, ...) says how an estimator knows the anchors in
-    one replication; without it they are the scenario's `known_anchors`.
+    An optional method `known_anchors(rng, scenario) -> Anchors` (1, B, ...) says how an estimator
+    knows the anchors in one replication; without it they are the scenario's `known_anchors`.
     """
 
     def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
@@ -213,10 +232,12 @@ class Noise(Protocol):
 
 
 class Measurement(Protocol):
-    """What a filter believes of the measurements; written for one point, broadcasting over leading axes.
+    """What a filter believes of the measurements; written for one point, broadcasting over leading
+    axes.
 
-    x (R, ..., n); m = B d components in anchor order. `quality` (R, m) are the nominal variances of one step. A class
-    whose likelihood and derivatives are one of the compiled kernels' names it in its own attribute `kernel`.
+    x (R, ..., n); m = B d components in anchor order. `quality` (R, m) are the nominal variances of
+    one step. A class whose likelihood and derivatives are one of the compiled kernels' names it in
+    its own attribute `kernel`.
     """
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
@@ -247,11 +268,12 @@ class Measurement(Protocol):
 class Estimator(Protocol):
     """The one plug that recursive filters and snapshot estimators share.
 
-    An optional class attribute `tile` says how many replications it wants at once (always exactly that many). An
-    optional method `prepare(say)` is called once before others work in parallel, to compile something, say. An
-    optional `check(scenario)` raises BadValue or UserError where the two do not fit. One whose `sees_truth` is true is
-    defined by the truth, no method for a device: it is called with the true states (R, T, n) as a fourth argument. An
-    optional method `trace(batch, scenario, streams) -> {name: (R, T)}` gives what a replay shows beyond the estimates.
+    An optional class attribute `tile` says how many replications it wants at once (always exactly
+    that many). An optional method `prepare(say)` is called once before others work in parallel, to
+    compile something, say. An optional `check(scenario)` raises BadValue or UserError where the two
+    do not fit. One whose `sees_truth` is true is defined by the truth, no method for a device: it
+    is called with the true states (R, T, n) as a fourth argument. An optional method `trace(batch,
+    scenario, streams) -> {name: (R, T)}` gives what a replay shows beyond the estimates.
     """
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates: ...

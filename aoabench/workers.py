@@ -1,7 +1,7 @@
 """Tasks on workers: processes, threads or a Dask cluster over joblib.
 
-A task is one block of replications of one cell; the worker writes its parts itself, so nothing large travels back and
-nothing finished is lost.
+A task is one block of replications of one cell; the worker writes its parts itself, so nothing
+large travels back and nothing finished is lost.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ class Task:
 
 @dataclass(frozen=True)
 class Loss:
-    """What one estimator's exceptions and undeclared NaN cost: how many replications, and the first one's message."""
+    """What one estimator's exceptions and undeclared NaN cost: how many replications, and the first
+    one's message.
+    """
 
     count: int = 0
     first: int = -1
@@ -79,20 +81,27 @@ def cores(n_jobs: int) -> int:
 def compute(task: Task, out: Path) -> dict[str, Loss]:
     """Compute one task and write its parts; returns what was lost by estimator. Runs in a worker.
 
-    What somebody finished since the task was planned (a worker that outlived its killed parent) is not computed again.
+    What somebody finished since the task was planned (a worker that outlived its killed parent) is
+    not computed again.
     """
     cell = task.cell
     kind, span = kind_of(cell), (task.start, task.stop)
     missing = [name for name, key in task.keys.items() if not store.has_part(out, key, *span, kind)]
     estimators = {name: cell.estimators[name] for name in missing}
-    blocks = montecarlo.run_block(cell.scenario, cell.noise, estimators, cell.seed, *span, cell.runner.steps)
+    blocks = montecarlo.run_block(
+        cell.scenario, cell.noise, estimators, cell.seed, *span, cell.runner.steps
+    )
     losses = {}
     for name, block in blocks.items():
         origin = store.provenance({**cell.config, "this_estimator": name})
         store.write_part(out, task.keys[name], *span, block, origin)
         if "failures" in block:
-            errors = dict(zip(block["failures"]["replication"].tolist(), block["failures"]["error"]))
-            losses[name] = Loss.of({r: errors[r] for r in block["failures"]["replication"][block["failures"]["lost"]]})
+            errors = dict(
+                zip(block["failures"]["replication"].tolist(), block["failures"]["error"])
+            )
+            losses[name] = Loss.of(
+                {r: errors[r] for r in block["failures"]["replication"][block["failures"]["lost"]]}
+            )
     return losses
 
 
@@ -118,13 +127,23 @@ def compute_all(
             advance(tasks[number].size)
 
         if options.backend == "dask":
-            # every worker opens the folder by its full name, so that its own working folder does not matter
-            where, codes = out.resolve(), {task.cell.id: store.code_key(task.cell) for task in tasks}
+            # every worker opens the folder by its full name, so that its own working folder does
+            # not matter
+            where, codes = (
+                out.resolve(),
+                {task.cell.id: store.code_key(task.cell) for task in tasks},
+            )
             with _cluster(options.address, tasks) as backend:
                 parallel = Parallel(
-                    -1, backend=backend, return_as="generator_unordered", pre_dispatch=_WAITING_TASKS, batch_size=1
+                    -1,
+                    backend=backend,
+                    return_as="generator_unordered",
+                    pre_dispatch=_WAITING_TASKS,
+                    batch_size=1,
                 )
-                calls = ((i, t, where, codes[t.cell.id]) for i, t in enumerate(tasks) if not skip(t))
+                calls = (
+                    (i, t, where, codes[t.cell.id]) for i, t in enumerate(tasks) if not skip(t)
+                )
                 for found in parallel(delayed(_far_away)(*call) for call in calls):
                     _wait_until_seen(tasks[found[0]], out)
                     finish(*found)
@@ -137,7 +156,9 @@ def compute_all(
         # threads share one BLAS: limit it here, once, not in each block
         limit = threadpool_limits(1) if options.backend == "threading" else nullcontext()
         settle = (
-            {"initializer": _settle, "initargs": (list(sys.path), os.getpid())} if options.backend == "loky" else {}
+            {"initializer": _settle, "initargs": (list(sys.path), os.getpid())}
+            if options.backend == "loky"
+            else {}
         )
         parallel = Parallel(
             workers,
@@ -148,7 +169,9 @@ def compute_all(
             **settle,
         )
         with limit:
-            for found in parallel(delayed(_numbered)(i, task, out) for i, task in enumerate(tasks) if not skip(task)):
+            for found in parallel(
+                delayed(_numbered)(i, task, out) for i, task in enumerate(tasks) if not skip(task)
+            ):
                 finish(*found)
 
 
@@ -158,7 +181,9 @@ def _numbered(number: int, task: Task, out: Path) -> tuple[int, dict[str, Loss]]
 
 @contextmanager
 def _cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
-    """joblib's way to the Dask cluster of that scheduler, which imports from where this process does."""
+    """joblib's way to the Dask cluster of that scheduler, which imports from where this process
+    does.
+    """
     from joblib._dask import DaskDistributedBackend
 
     try:
@@ -168,7 +193,9 @@ def _cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
 
     class Backend(DaskDistributedBackend):
         def effective_n_jobs(self, n_jobs: int) -> int:
-            return max(super().effective_n_jobs(n_jobs), 2)  # the work of a single thread would be kept here
+            return max(
+                super().effective_n_jobs(n_jobs), 2
+            )  # the work of a single thread would be kept here
 
     class SamePath(WorkerPlugin):  # a plug-in reaches workers that come later, too
         name = "aoabench-path"
@@ -182,21 +209,29 @@ def _cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError) as error:
-        raise UserError(f"runner.address={address!r}: no scheduler answers there ({type(error).__name__})") from None
+        raise UserError(
+            f"runner.address={address!r}: no scheduler answers there ({type(error).__name__})"
+        ) from None
     with client:
-        used = (o for t in tasks for o in (t.cell.scenario, t.cell.noise, *t.cell.estimators.values()))
+        used = (
+            o for t in tasks for o in (t.cell.scenario, t.cell.noise, *t.cell.estimators.values())
+        )
         modules = {type(one).__module__ for one in used} - {"__main__"}
         try:  # a scheduler that cannot read a task loses it
             missing = client.run_on_scheduler(_add_path, sys.path, sorted(modules))
         except ImportError as error:
             missing = str(error)
         if missing:
-            raise UserError(f"runner.address={address!r}: the scheduler does not import what this run does: {missing}")
+            raise UserError(
+                f"runner.address={address!r}: the scheduler does not import what this run does: {missing}"
+            )
         client.register_plugin(SamePath(sys.path))
         try:
             client.wait_for_workers(1, timeout=_PATIENCE_S)
         except TimeoutError:
-            raise RunError(f"runner.address={address!r}: no worker has come within {_PATIENCE_S} s") from None
+            raise RunError(
+                f"runner.address={address!r}: no worker has come within {_PATIENCE_S} s"
+            ) from None
         yield Backend(client=client)
 
 
@@ -212,28 +247,39 @@ def _add_path(path: Sequence[str], modules: Sequence[str]) -> str | None:
 
 
 def _far_away(number: int, task: Task, out: Path, code: str) -> tuple[int, dict[str, Loss]]:
-    """Compute a task on a machine that may be another one; RunError if its numbers would differ or not be seen here."""
+    """Compute a task on a machine that may be another one; RunError if its numbers would differ or
+    not be seen here.
+    """
     here = platform.node()
     if store.code_key(task.cell) != code:
         raise RunError(
             f"the worker on {here} has another version of the code, of a plug-in or of a library than this run"
         )
     if not (out / ".lock").exists():
-        raise RunError(f"the worker on {here} does not see {out}: all workers need the file system that it is on")
+        raise RunError(
+            f"the worker on {here} does not see {out}: all workers need the file system that it is on"
+        )
     return _numbered(number, task, out)
 
 
 def _wait_until_seen(task: Task, out: Path) -> None:
     """Until the task's parts are visible here: network file systems take their time."""
     deadline = time.monotonic() + _PATIENCE_S
-    while not all(store.has_part(out, key, task.start, task.stop, kind_of(task.cell)) for key in task.keys.values()):
+    while not all(
+        store.has_part(out, key, task.start, task.stop, kind_of(task.cell))
+        for key in task.keys.values()
+    ):
         if time.monotonic() > deadline:
-            raise RunError(f"what the workers wrote does not show up in {out}: they need the file system that it is on")
+            raise RunError(
+                f"what the workers wrote does not show up in {out}: they need the file system that it is on"
+            )
         time.sleep(0.5)
 
 
 def prepare(tasks: Sequence[Task], progress: bool) -> None:
-    """Let estimators compile or load what they need here, once, before workers ask for it all at the same time."""
+    """Let estimators compile or load what they need here, once, before workers ask for it all at
+    the same time.
+    """
     said: set[str] = set()
 
     def say(line: str) -> None:
@@ -247,7 +293,9 @@ def prepare(tasks: Sequence[Task], progress: bool) -> None:
 
 
 def _settle(path: list[str], parent: int) -> None:
-    """In a worker process: import from where the parent does, and end when it is gone, however it went."""
+    """In a worker process: import from where the parent does, and end when it is gone, however it
+    went.
+    """
     sys.path[:] = path
 
     def watch() -> None:
@@ -260,9 +308,17 @@ def _settle(path: list[str], parent: int) -> None:
 
 @contextmanager
 def _bar(total: int, shown: bool) -> Iterator[Any]:
-    """A progress bar on standard error: replications done, rate, time left. Quiet where nobody watches."""
+    """A progress bar on standard error: replications done, rate, time left. Quiet where nobody
+    watches.
+    """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     console = Console(stderr=True)
     columns = (
@@ -272,7 +328,9 @@ def _bar(total: int, shown: bool) -> Iterator[Any]:
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=not (shown and console.is_terminal), transient=True) as bar:
+    with Progress(
+        *columns, console=console, disable=not (shown and console.is_terminal), transient=True
+    ) as bar:
         line = bar.add_task("", total=total, rate="")
 
         def advance(n: int) -> None:

@@ -22,6 +22,7 @@ def rng() -> np.random.Generator:
 @pytest.fixture
 def track() -> SquareTrack:
     layout = AnchorLayout(
-        [[-1, 0, 0], [6, 0, 0], [6, 5, 0], [-1, 5, 0]], [[1, 0, 0], [-1, 0, 0], [-1, 0, 0], [1, 0, 0]]
+        [[-1, 0, 0], [6, 0, 0], [6, 5, 0], [-1, 5, 0]],
+        [[1, 0, 0], [-1, 0, 0], [-1, 0, 0], [1, 0, 0]],
     )
     return SquareTrack("square_track", layout, RandomWalk())

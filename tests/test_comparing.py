@@ -19,7 +19,9 @@ FILTERS = "filter=[ekf_vmf,ukf_vmf,ekf_ae_fitted]"
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     out = tmp_path_factory.mktemp("swept")
-    aoabench.run("noise=vmf,ae_flip", "noise.sigma_deg=5,10", FILTERS, "reps=60", "runner.n_jobs=1", out=out)
+    aoabench.run(
+        "noise=vmf,ae_flip", "noise.sigma_deg=5,10", FILTERS, "reps=60", "runner.n_jobs=1", out=out
+    )
     return out
 
 
@@ -51,12 +53,16 @@ def test_rows_are_paired_tests_over_replications(swept):
     assert set(table["noise.sigma_deg"]) == {5, 10}
     frame = aoabench.load(swept)
     for row in table.to_dict("records"):
-        mine = frame[frame["cell"] == row["cell"]].pivot(index="replication", columns="estimator", values="rmse_3d_m")
+        mine = frame[frame["cell"] == row["cell"]].pivot(
+            index="replication", columns="estimator", values="rmse_3d_m"
+        )
         a, b = mine[row["estimator"]], mine["ekf_vmf"]
         assert row["p"] == pytest.approx(stats.ttest_rel(a, b).pvalue)
         assert row["change"] == pytest.approx(100 * (a.mean() / b.mean() - 1))
         assert (row["n"], row["units"], row["by"]) == (60, 60, "replication")
-        se, _ = intervals.bootstrap(lambda x, y: 100 * (x.mean() / y.mean() - 1), a, b, resamples=500)
+        se, _ = intervals.bootstrap(
+            lambda x, y: 100 * (x.mean() / y.mean() - 1), a, b, resamples=500
+        )
         assert row["change_high"] - row["change_low"] == pytest.approx(2 * 2.0 * se, rel=0.15)
     assert list(table["p_holm"]) == list(intervals.holm(table["p"]))
     worse = table[table["estimator"] == "ekf_ae_fitted"]
@@ -66,8 +72,12 @@ def test_rows_are_paired_tests_over_replications(swept):
 
 def test_a_baseline_that_the_data_pick_counts_all_pairs(swept):
     table = aoabench.compare(swept)
-    assert table.groupby("cell")["baseline_mean"].first().le(table.groupby("cell")["mean"].min()).all()
-    assert table.attrs["comparisons"] == 4 * 3, "three pairs of three estimators in each cell, two of them printed"
+    assert (
+        table.groupby("cell")["baseline_mean"].first().le(table.groupby("cell")["mean"].min()).all()
+    )
+    assert table.attrs["comparisons"] == 4 * 3, (
+        "three pairs of three estimators in each cell, two of them printed"
+    )
     assert (table["p_holm"] >= intervals.holm(table["p"])).all()
 
 
@@ -83,7 +93,11 @@ def test_the_line_says_better_by_how_much_and_how_surely(swept, tmp_path, capsys
 
     out = doctored(swept, tmp_path, change)
     text = said(capsys, out, "--baseline", "ekf_vmf")
-    assert text.count("ukf_vmf is better than ekf_vmf by 10.") + text.count("ukf_vmf is better than ekf_vmf by 9.") == 4
+    assert (
+        text.count("ukf_vmf is better than ekf_vmf by 10.")
+        + text.count("ukf_vmf is better than ekf_vmf by 9.")
+        == 4
+    )
     assert text.count("ekf_ae_fitted and ekf_vmf: no difference seen at this N = 60: ") == 4
     assert text.count(" would show 1 %") == 4
     assert "Holm's method over the 8 comparisons" in text
@@ -101,7 +115,9 @@ def test_shared_positions_cluster_the_interval(grid):
     assert (table["by"] == "position").all()
     assert (table["units"] == 120).all()
     cell = table["cell"].iloc[0]
-    f = {name: tables.fixes(grid, cell, name).error_3d_m.astype(float) for name in ("ls", "ml_kcorr")}
+    f = {
+        name: tables.fixes(grid, cell, name).error_3d_m.astype(float) for name in ("ls", "ml_kcorr")
+    }
 
     def percent(a, b):
         return 100 * (np.sqrt((a**2).mean(axis=1)).mean() / np.sqrt((b**2).mean(axis=1)).mean() - 1)
@@ -109,7 +125,9 @@ def test_shared_positions_cluster_the_interval(grid):
     se, _ = intervals.bootstrap(percent, f["ls"], f["ml_kcorr"], axis=1, resamples=1000)
     row = table.loc["ls"]
     assert row["change"] == pytest.approx(percent(f["ls"], f["ml_kcorr"]), rel=1e-5)
-    assert row["change_high"] - row["change_low"] == pytest.approx(2 * stats.t.ppf(0.975, 119) * se, rel=0.1)
+    assert row["change_high"] - row["change_low"] == pytest.approx(
+        2 * stats.t.ppf(0.975, 119) * se, rel=0.1
+    )
     assert "positions" in "\n".join(comparing.lines(table.reset_index()))
 
 
@@ -149,7 +167,12 @@ def test_failure_rates_are_compared_in_points(swept, tmp_path, capsys):
     text = said(capsys, out, "--baseline", "ekf_vmf", "--metric", "failure_rate")
     assert "ekf_ae_fitted is worse than ekf_vmf by 25 percentage points [" in text
     assert "about N = " in text
-    row = aoabench.compare(out, "ekf_vmf", "failure_rate").set_index("estimator").loc["ekf_ae_fitted"].iloc[0]
+    row = (
+        aoabench.compare(out, "ekf_vmf", "failure_rate")
+        .set_index("estimator")
+        .loc["ekf_ae_fitted"]
+        .iloc[0]
+    )
     assert row["p"] == pytest.approx(2 * 0.5**15)
     assert row["unit"] == "percentage points"
 
@@ -161,7 +184,9 @@ def test_metrics_without_any_value_are_said(metric, grid, capsys):
     text = said(capsys, grid, "--metric", metric)
     assert "nan" not in text
     if metric in ("iterations", "nees"):
-        assert f"no {metric} of ls" in text.replace("ml_kcorr and ls", "ls").replace("ml_atan2 and ls", "ls")
+        assert f"no {metric} of ls" in text.replace("ml_kcorr and ls", "ls").replace(
+            "ml_atan2 and ls", "ls"
+        )
 
 
 @pytest.mark.filterwarnings("error")
@@ -172,7 +197,9 @@ def test_few_values_are_said(keep, swept, tmp_path, capsys):
         return frame
 
     text = said(capsys, doctored(swept, tmp_path, change), "--baseline", "ekf_vmf")
-    assert {0: "no rmse_3d_m of", 1: "too few pairs", 2: "only 2 of 60 replications have both"}[keep] in text
+    assert {0: "no rmse_3d_m of", 1: "too few pairs", 2: "only 2 of 60 replications have both"}[
+        keep
+    ] in text
 
 
 def test_equal_estimators_are_said_to_be_equal(swept, tmp_path, capsys):
@@ -188,10 +215,14 @@ def test_equal_estimators_are_said_to_be_equal(swept, tmp_path, capsys):
 
 def test_a_zero_baseline_is_compared_in_the_metrics_own_unit(swept, tmp_path, capsys):
     def change(frame):
-        frame["rmse_z_m"] = np.where(frame["estimator"] == "ekf_vmf", 0.0, 1.0 + 0.1 * (frame["replication"] % 7))
+        frame["rmse_z_m"] = np.where(
+            frame["estimator"] == "ekf_vmf", 0.0, 1.0 + 0.1 * (frame["replication"] % 7)
+        )
         return frame
 
-    text = said(capsys, doctored(swept, tmp_path, change), "--baseline", "ekf_vmf", "--metric", "rmse_z_m")
+    text = said(
+        capsys, doctored(swept, tmp_path, change), "--baseline", "ekf_vmf", "--metric", "rmse_z_m"
+    )
     assert "ukf_vmf is worse than ekf_vmf by 1.2" in text
     assert " m [" in text
 
@@ -222,7 +253,7 @@ def test_mistakes_are_one_line_and_status_2(words, says, swept, capsys):
     assert all(word in err for word in says), err
 
 
-# --- the tidy table ---------------------------------------------------------------------------------------------------
+# --- the tidy table -------------------------------------------------------------------------------
 
 
 def test_a_sweep_ends_as_one_tidy_table(swept):
@@ -237,7 +268,10 @@ def test_a_sweep_ends_as_one_tidy_table(swept):
 def test_collect_makes_the_tables_again(swept, tmp_path, capsys):
     out = tmp_path / "run"
     shutil.copytree(swept, out)
-    before = {name: pd.read_parquet(out / f"{name}.parquet") for name in ("tidy", "summary", "cells", "timing")}
+    before = {
+        name: pd.read_parquet(out / f"{name}.parquet")
+        for name in ("tidy", "summary", "cells", "timing")
+    }
     for name in ("tidy.parquet", "summary.parquet", "cells.parquet", "timing.parquet"):
         (out / name).unlink()
     shutil.rmtree(out / "replications.parquet")

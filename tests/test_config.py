@@ -63,16 +63,31 @@ MALICIOUS = {
         "experiment/x.yaml",
         "# @package _global_\nhydra:\n  callbacks:\n    evil: {_target_: os.system, command: touch HIT}\n",
     ),
-    "launcher": ("experiment/x.yaml", "# @package _global_\nhydra:\n  launcher: {_target_: os.system}\n"),
-    "launcher default": ("experiment/x.yaml", "# @package _global_\ndefaults:\n  - override /hydra/launcher: evil\n"),
+    "launcher": (
+        "experiment/x.yaml",
+        "# @package _global_\nhydra:\n  launcher: {_target_: os.system}\n",
+    ),
+    "launcher default": (
+        "experiment/x.yaml",
+        "# @package _global_\ndefaults:\n  - override /hydra/launcher: evil\n",
+    ),
     "package header": (
         "experiment/x.yaml",
         "# @package hydra.callbacks\nevil: {_target_: os.system, command: touch HIT}\n",
     ),
     "package in defaults": ("experiment/x.yaml", "defaults:\n  - /noise@hydra.callbacks.evil: y\n"),
-    "search path": ("experiment/x.yaml", "# @package _global_\nhydra:\n  searchpath: [file:///tmp]\n"),
-    "own hydra group": ("hydra/callbacks/x.yaml", "evil: {_target_: os.system, command: touch HIT}\n"),
-    "dotted": ("experiment/x.yaml", "# @package _global_\nhydra.callbacks.evil: {_target_: os.system}\n"),
+    "search path": (
+        "experiment/x.yaml",
+        "# @package _global_\nhydra:\n  searchpath: [file:///tmp]\n",
+    ),
+    "own hydra group": (
+        "hydra/callbacks/x.yaml",
+        "evil: {_target_: os.system, command: touch HIT}\n",
+    ),
+    "dotted": (
+        "experiment/x.yaml",
+        "# @package _global_\nhydra.callbacks.evil: {_target_: os.system}\n",
+    ),
     "plugins": ("experiment/x.yaml", "# @package _global_\nplugins: [os]\n"),
     "sweeper params name plugins": (
         "experiment/x.yaml",
@@ -82,8 +97,14 @@ MALICIOUS = {
         "experiment/x.yaml",
         "# @package _global_\nhydra:\n  sweeper:\n    params:\n      +hydra.job_logging.handlers: '{h: {class: evil.H}}'\n",
     ),
-    "header after a blank": ("noise/x.yaml", " # @package hydra.callbacks\nevil: {_target_: os.system}\n"),
-    "sweeper itself": ("experiment/x.yaml", "# @package _global_\nhydra:\n  sweeper: {_target_: os.system}\n"),
+    "header after a blank": (
+        "noise/x.yaml",
+        " # @package hydra.callbacks\nevil: {_target_: os.system}\n",
+    ),
+    "sweeper itself": (
+        "experiment/x.yaml",
+        "# @package _global_\nhydra:\n  sweeper: {_target_: os.system}\n",
+    ),
 }
 
 
@@ -209,7 +230,9 @@ def test_files_that_only_hydra_would_reach_may_not_touch_hydra(tmp_path):
         compose_cells(["filter=[ekf_vmf]"], config_dir=str(tmp_path))
     (tmp_path / "evil.yaml").unlink()
     (tmp_path / "experiment").mkdir()
-    (tmp_path / "experiment" / "x.yaml").write_text("# @package _global_\ndefaults:\n  - sub: .${oc.env:NO,.}/evil\n")
+    (tmp_path / "experiment" / "x.yaml").write_text(
+        "# @package _global_\ndefaults:\n  - sub: .${oc.env:NO,.}/evil\n"
+    )
     with pytest.raises(UserError, match="defaults"):
         compose_cells(["filter=[ekf_vmf]", "experiment=x"], config_dir=str(tmp_path))
 
@@ -219,7 +242,9 @@ def test_plugins_must_be_importable_names_and_classes_must_be_theirs(tmp_path, m
     (tmp_path / "my_alias.py").write_text("from os import system\nfrom subprocess import Popen\n")
     (tmp_path / "conf" / "estimator").mkdir(parents=True)
     for name in ("system", "Popen"):
-        (tmp_path / "conf" / "estimator" / f"{name}.yaml").write_text(f"{name}:\n  _target_: my_alias.{name}\n")
+        (tmp_path / "conf" / "estimator" / f"{name}.yaml").write_text(
+            f"{name}:\n  _target_: my_alias.{name}\n"
+        )
         with pytest.raises(UserError, match="_target_"):
             compose_cells([f"estimator=[{name}]"], config_dir="conf", plugins=["my_alias"])
 

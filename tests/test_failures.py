@@ -1,4 +1,6 @@
-"""What goes wrong in one replication is data: it costs that replication, is told, and too much of it stops the cell."""
+"""What goes wrong in one replication is data: it costs that replication, is told, and too much of
+it stops the cell.
+"""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -69,17 +71,26 @@ WORDS = ["noise=vmf", "filter=[ekf_vmf]", "estimator=[luck]", "reps=300", "store
 
 @pytest.mark.parametrize("how", [["runner.n_jobs=1"], ["runner.n_jobs=2", "runner.chunk=1"]])
 def test_an_exception_costs_its_replication_and_no_bit_of_the_others(how, luck, tmp_path):
-    """Two in one tile, one in the next; the others are those of the EKF inside, which saw full tiles."""
+    """Two in one tile, one in the next; the others are those of the EKF inside, which saw full
+    tiles.
+    """
     bad = [3, 100, 130]
     frame = aoabench.run(*WORDS, *how, out="out", **luck(raises=bad))
-    theirs, mine = (frame[frame["estimator"] == name].set_index("replication") for name in ("ekf_vmf", "luck"))
+    theirs, mine = (
+        frame[frame["estimator"] == name].set_index("replication") for name in ("ekf_vmf", "luck")
+    )
     assert list(mine.index[mine["outcome"] == "failed"]) == bad
     assert mine.loc[bad, "rmse_3d_m"].isna().all()
     assert (mine.loc[bad, "n_failed"] == 64).all()
     columns = ["rmse_3d_m", "rmse_xy_m", "rmse_z_m", "outcome", "n_ok", "nees"]
-    pd.testing.assert_frame_equal(mine.drop(bad)[columns], theirs.drop(bad)[columns], check_exact=True)
+    pd.testing.assert_frame_equal(
+        mine.drop(bad)[columns], theirs.drop(bad)[columns], check_exact=True
+    )
     steps = pd.read_parquet("out/steps.parquet")
-    steps = [steps[steps["estimator"] == name].set_index(["replication", "step"]) for name in ("ekf_vmf", "luck")]
+    steps = [
+        steps[steps["estimator"] == name].set_index(["replication", "step"])
+        for name in ("ekf_vmf", "luck")
+    ]
     a, b = (s[~s.index.get_level_values(0).isin(bad)][["x_m", "y_m", "z_m"]] for s in steps)
     pd.testing.assert_frame_equal(a, b, check_exact=True)
     told = pd.read_parquet("out/failures.parquet")
@@ -105,16 +116,27 @@ def test_a_run_without_failures_has_an_empty_table(tmp_path):
 
 
 def test_too_many_failures_stop_the_cell_and_what_is_there_is_kept(luck, tmp_path):
-    """The other cell goes on; with a higher limit the same command goes on from there and computes nothing twice."""
-    words = [*WORDS, "noise=vmf,ae_flip", "estimator.luck.raises=[0,1,2,3,4,5]", "runner.n_jobs=1", "runner.out=out"]
+    """The other cell goes on; with a higher limit the same command goes on from there and computes
+    nothing twice.
+    """
+    words = [
+        *WORDS,
+        "noise=vmf,ae_flip",
+        "estimator.luck.raises=[0,1,2,3,4,5]",
+        "runner.n_jobs=1",
+        "runner.out=out",
+    ]
     given = luck()
     cells = compose_cells([*words, "runner.max_failed=0.01"], **given)
     with pytest.raises(
-        aoabench.RunError, match=r"'luck' failed in 6 of 128 .* runner.max_failed=0.01 .* no luck in 0 "
+        aoabench.RunError,
+        match=r"'luck' failed in 6 of 128 .* runner.max_failed=0.01 .* no luck in 0 ",
     ):
         runner.run(cells, progress=False)
     told = pd.read_parquet("out/failures.parquet")
-    assert sorted(told["replication"]) == sorted([0, 1, 2, 3, 4, 5] * 2), "the tables show what was reached"
+    assert sorted(told["replication"]) == sorted([0, 1, 2, 3, 4, 5] * 2), (
+        "the tables show what was reached"
+    )
     before = {f: f.stat().st_mtime_ns for f in (tmp_path / "out").glob("parts/*/*.json")}
     with pytest.raises(aoabench.RunError, match="6 of 128"):
         runner.run(cells, progress=False)
@@ -152,8 +174,13 @@ def test_an_estimator_that_fails_always_is_stopped_early(luck):
 
 
 def test_declared_failures_never_stop_a_run(tmp_path):
-    """Two planes through one point determine it whatever was measured: every fix is a failure that the method declares."""
-    words = ["scenario.anchors.position_m=[[0,0,0],[0,0,0]]", "scenario.anchors.facing=[[1,0,0],[1,0,0]]"]
+    """Two planes through one point determine it whatever was measured: every fix is a failure that
+    the method declares.
+    """
+    words = [
+        "scenario.anchors.position_m=[[0,0,0],[0,0,0]]",
+        "scenario.anchors.facing=[[1,0,0],[1,0,0]]",
+    ]
     frame = aoabench.run("estimator=[ls]", *words, "runner.max_failed=0", "reps=10", out=tmp_path)
     assert (frame["n_failed"] == 64).all()
     told = pd.read_parquet(tmp_path / "failures.parquet")
@@ -174,12 +201,21 @@ def test_what_is_not_the_datas_fault_stops_the_run(says, expected, match, jobs, 
 
 def test_a_bad_value_that_shows_in_a_worker_is_the_users_mistake_there_too(tmp_path):
     with pytest.raises(aoabench.UserError, match="times of arrival"):
-        aoabench.run("filter=[ekf_toa_aoa]", "noise=vmf", "reps=64", "runner.n_jobs=2", "runner.chunk=8", out=tmp_path)
+        aoabench.run(
+            "filter=[ekf_toa_aoa]",
+            "noise=vmf",
+            "reps=64",
+            "runner.n_jobs=2",
+            "runner.chunk=8",
+            out=tmp_path,
+        )
 
 
 @dataclass(frozen=True)
 class Picky:
-    """Raises on the 5th replication of each tile of 8; sees anchors that differ between replications."""
+    """Raises on the 5th replication of each tile of 8; sees anchors that differ between
+    replications.
+    """
 
     inner: Any
     tile: ClassVar[int] = 8

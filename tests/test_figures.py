@@ -76,11 +76,18 @@ def test_figure_6_draws_rmse_and_bound_of_its_table(figure_of):
     for name, style in s.figures.STYLES.items():
         rows = frame[frame["estimator"] == name].sort_values("sigma_deg")
         assert any(
-            np.array_equal(line.get_ydata(), rows["rmse_m"]) for line in lines_of(left, style["color"].upper())
+            np.array_equal(line.get_ydata(), rows["rmse_m"])
+            for line in lines_of(left, style["color"].upper())
         ), name
     (bound,) = [line for line in left.lines if line.get_label() == plots.BOUND_LABEL]
-    assert np.array_equal(bound.get_ydata(), frame[frame["estimator"] == "ls"].sort_values("sigma_deg")["bound_m"])
-    (one,) = [line for line in right.lines if line.get_linestyle() == "--" and to_hex(line.get_color()) == "#000000"]
+    assert np.array_equal(
+        bound.get_ydata(), frame[frame["estimator"] == "ls"].sort_values("sigma_deg")["bound_m"]
+    )
+    (one,) = [
+        line
+        for line in right.lines
+        if line.get_linestyle() == "--" and to_hex(line.get_color()) == "#000000"
+    ]
     assert set(one.get_ydata()) == {1}
 
 
@@ -99,7 +106,10 @@ def test_nees_draws_its_table(figure_of):
     s, item = find("lu2019_nees")
     frame = study.table(RESULTS, s, item)
     axis = figure_of(s, item).axes[0]
-    rows = frame[(frame["scenario"] == "indoor_map_model") & (frame["an_sigma_m"] == frame["an_sigma_m"].min())]
+    rows = frame[
+        (frame["scenario"] == "indoor_map_model")
+        & (frame["an_sigma_m"] == frame["an_sigma_m"].min())
+    ]
     for line, name in zip(axis.lines, ("ekf_toa_aoa", "ekf_aoa")):
         assert np.array_equal(line.get_ydata(), rows[rows["estimator"] == name]["nees"])
 
@@ -122,7 +132,8 @@ def test_the_leaderboard_is_in_the_order_of_its_rmse_and_says_intervals():
 def results(tmp_path):
     for name in ("le2021_fig5", "le2021_fig7", "nurminen2018_fig1"):
         store.write_frame(
-            tmp_path / "tables" / f"{name}.parquet", pd.read_parquet(RESULTS / "tables" / f"{name}.parquet")
+            tmp_path / "tables" / f"{name}.parquet",
+            pd.read_parquet(RESULTS / "tables" / f"{name}.parquet"),
         )
     return tmp_path
 
@@ -137,10 +148,16 @@ def test_a_table_of_another_version_is_one_line_and_not_computed(results):
     reproducing.draw(["le2021", "nurminen2018"], results, said.append)
     told = [line for line in said if "another version" in line and "\n" not in line]
     assert len(told) == 2
-    assert told[0].startswith("le2021 fig7: not computed: the table is of another version (KeyError")
+    assert told[0].startswith(
+        "le2021 fig7: not computed: the table is of another version (KeyError"
+    )
     assert "aoabench reproduce le2021 --only fig7" in told[0]
     assert not (results / "figures" / "le2021_fig7.png").exists(), "no old figure stays"
-    rows = pd.read_parquet(results / "tables" / "verdicts.parquet").set_index(["study", "item"]).sort_index()
+    rows = (
+        pd.read_parquet(results / "tables" / "verdicts.parquet")
+        .set_index(["study", "item"])
+        .sort_index()
+    )
     fig7 = rows.loc[("le2021", "fig7")]
     assert set(fig7["verdict"]) == {"not computed"}
     assert set(fig7["reason"]) == {"the table is of another version"}
@@ -162,7 +179,9 @@ def test_a_deleted_table_takes_its_numbers_and_figure_from_the_page(results):
     reproducing.draw(["nurminen2018"], results, said.append)
     html = (results / "report" / "index.html").read_text()
     assert f">{number}<" not in html
-    assert html.count("data:image/png") == images - 1, "the old figure lies there still, but is of no table"
+    assert html.count("data:image/png") == images - 1, (
+        "the old figure lies there still, but is of no table"
+    )
     assert any(line.startswith("nurminen2018: not computed: ") and "fig1" in line for line in said)
 
 
@@ -171,7 +190,9 @@ def test_the_page_copes_without_any_table_and_without_a_bench(tmp_path):
     html = page.write(everything, study.verdicts(everything, tmp_path), tmp_path).read_text()
     assert "data:image" not in html
     assert html.count("Not computed.") == sum(len(s.items) for s in everything) + 1
-    store.write_frame(tmp_path / "bench" / "bench.parquet", pd.DataFrame({"what": ["a"], "value": [1.0]}))
+    store.write_frame(
+        tmp_path / "bench" / "bench.parquet", pd.DataFrame({"what": ["a"], "value": [1.0]})
+    )
     html = page.write(everything, study.verdicts(everything, tmp_path), tmp_path).read_text()
     assert "Not computed (the table is of another version)." in html
 
@@ -197,7 +218,9 @@ def test_an_embedded_figure_is_smaller_and_looks_the_same(results):
     path = results / "figures" / "nurminen2018_fig1.png"
     data = base64.b64decode(page.embedded(path))
     assert len(data) < path.stat().st_size
-    small, large = (np.asarray(Image.open(f).convert("RGB"), dtype=float) for f in (io.BytesIO(data), path))
+    small, large = (
+        np.asarray(Image.open(f).convert("RGB"), dtype=float) for f in (io.BytesIO(data), path)
+    )
     assert small.shape == large.shape
     assert np.sqrt(np.mean((small - large) ** 2)) < 4  # of 255
 
@@ -231,7 +254,9 @@ def test_each_verdict_comes_from_the_numbers(verdict, reason, entry, ours):
     first = {"id": "a", "item": "i", "what": "w", **entry}
     second = {"id": "b", "item": "i", "what": "w", "printed": 2.0, "group": "g"}
     s = study.Study("s", Path(), "", "", (study.Item("i", "", ""),), (first, second), ())
-    found = {"b": (Estimate(4.0, 0.1), float("nan"))} | ({"a": (Estimate(*ours), float("nan"))} if ours else {})
+    found = {"b": (Estimate(4.0, 0.1), float("nan"))} | (
+        {"a": (Estimate(*ours), float("nan"))} if ours else {}
+    )
     row = study._judge(s, first, found)
     assert row["verdict"] == verdict
     assert row["reason"].startswith(reason)
@@ -255,7 +280,9 @@ def test_the_animation_draws_the_traces_and_their_ellipses():
         assert np.array_equal(line.get_xdata(), trace["x_m"][step - 8 : step + 1])
         assert np.array_equal(line.get_ydata(), trace["y_m"][step - 8 : step + 1])
     row = next(iter(found.values())).iloc[step]
-    P = np.array([[row["sigma_x_m"] ** 2, row["cov_xy_m2"]], [row["cov_xy_m2"], row["sigma_y_m"] ** 2]])
+    P = np.array(
+        [[row["sigma_x_m"] ** 2, row["cov_xy_m2"]], [row["cov_xy_m2"], row["sigma_y_m"] ** 2]]
+    )
     d = animation.ellipse(row) - [row["x_m"], row["y_m"]]
     assert np.einsum("ni,ij,nj->n", d, np.linalg.inv(P), d) == pytest.approx(5.991, rel=1e-3)
     plt.close("all")
@@ -263,6 +290,8 @@ def test_the_animation_draws_the_traces_and_their_ellipses():
 
 def test_the_animation_is_written(tmp_path):
     found, anchors = traces()
-    path = animation.write({name: trace[:3] for name, trace in found.items()}, anchors, tmp_path / "a.gif")
+    path = animation.write(
+        {name: trace[:3] for name, trace in found.items()}, anchors, tmp_path / "a.gif"
+    )
     assert path.read_bytes().startswith(b"GIF89a")
     assert (RESULTS / "figures" / "track.gif").stat().st_size < 700_000

@@ -7,7 +7,9 @@ from aoabench import geometry as g
 
 
 def test_wrap_stays_in_the_half_open_interval(rng):
-    a = np.concatenate([rng.uniform(-50, 50, 10_000), np.pi * np.arange(-9, 10), [1e-17, -1e-17, 0.0]])
+    a = np.concatenate(
+        [rng.uniform(-50, 50, 10_000), np.pi * np.arange(-9, 10), [1e-17, -1e-17, 0.0]]
+    )
     w = g.wrap(a)
     assert np.all((w > -np.pi) & (w <= np.pi))
     assert np.allclose(np.exp(1j * w), np.exp(1j * a), atol=1e-13)
@@ -29,7 +31,9 @@ def test_azimuth_of_an_exact_pole_is_zero(zero):
     assert g.to_azel(zero, -0.0, -2.0) == (0.0, -np.pi / 2)
 
 
-@pytest.mark.parametrize("direction", [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [1, 2, 3], [0, 0, 1], [0, 0, -2]])
+@pytest.mark.parametrize(
+    "direction", [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [1, 2, 3], [0, 0, 1], [0, 0, -2]]
+)
 def test_facing_rotations_are_proper_and_turn_the_direction_into_the_pole(direction):
     R = g.facing(direction)
     assert np.allclose(R @ R.T, np.eye(3), atol=1e-15)
@@ -46,7 +50,10 @@ def test_facing_refuses_a_zero_direction():
 
 
 def test_points_in_anchor_frames_equal_the_plain_product(rng):
-    position, rotation = rng.normal(size=(1, 5, 3)), np.stack([g.euler(rng.normal(size=3)) for _ in range(5)])[None]
+    position, rotation = (
+        rng.normal(size=(1, 5, 3)),
+        np.stack([g.euler(rng.normal(size=3)) for _ in range(5)])[None],
+    )
     for shape in [(7, 3), (7, 4, 3)]:
         p = rng.normal(size=shape)
         plain = np.einsum("bij,...bj->...bi", rotation[0], p[..., None, :] - position[0])

@@ -1,7 +1,9 @@
-"""Coverage of every interval: by simulation, or by exact enumeration where the distribution is discrete.
+"""Coverage of every interval: by simulation, or by exact enumeration where the distribution is
+discrete.
 
-Seeds are fixed. Simulated coverages rest on 10 000 samples unless said otherwise: their standard error is 0.22 %, so a
-true coverage of 94.7 % is measured below the limit of 94 % with probability 0.001 (the false-alarm rate per case).
+Seeds are fixed. Simulated coverages rest on 10 000 samples unless said otherwise: their standard
+error is 0.22 %, so a true coverage of 94.7 % is measured below the limit of 94 % with probability
+0.001 (the false-alarm rate per case).
 """
 
 import math
@@ -15,7 +17,8 @@ from aoabench import statistics as s
 
 SIMULATIONS, N = 10_000, 200
 
-# name -> draw (N,), mean, mean square; the last two are as skewed as the errors of filters that sometimes get lost
+# name -> draw (N,), mean, mean square; the last two are as skewed as the errors of filters that
+# sometimes get lost
 POPULATIONS = {
     "rayleigh": (lambda rng: rng.rayleigh(1.0, N), math.sqrt(math.pi / 2), 2.0),
     "maxwell": (lambda rng: np.sqrt(rng.chisquare(3, N)), 2 * math.sqrt(2 / math.pi), 3.0),
@@ -33,10 +36,16 @@ def coverage(interval, draw, truth, simulations=SIMULATIONS, seed=20180710):
 
 @pytest.mark.parametrize("name", POPULATIONS)
 def test_means_and_rmse_cover(name):
-    """At least 94 % of nominal 95 % for both, of 200 replications; a lognormal's squares have a kurtosis of 114: 93 %."""
+    """At least 94 % of nominal 95 % for both, of 200 replications; a lognormal's squares have a
+    kurtosis of 114: 93 %.
+    """
     draw, mean, square = POPULATIONS[name]
     assert 0.94 <= coverage(intervals.mean, draw, mean) < 0.965
-    assert (0.93 if name == "lognormal" else 0.94) <= coverage(intervals.rmse, draw, math.sqrt(square)) < 0.965
+    assert (
+        (0.93 if name == "lognormal" else 0.94)
+        <= coverage(intervals.rmse, draw, math.sqrt(square))
+        < 0.965
+    )
 
 
 @pytest.mark.parametrize("name", ["rayleigh", "maxwell", "gamma"])
@@ -44,7 +53,9 @@ def test_plain_normal_intervals_cover_means(name):
     """value +- 1.96 standard errors, as tables show them."""
     draw, mean, square = POPULATIONS[name]
     assert coverage(lambda x: s.mean(x).interval(), draw, mean) >= 0.94
-    assert coverage(lambda x: s.pooled_rmse(x).interval(), draw, math.sqrt(square)) >= 0.93, "skewed: intervals.rmse"
+    assert coverage(lambda x: s.pooled_rmse(x).interval(), draw, math.sqrt(square)) >= 0.93, (
+        "skewed: intervals.rmse"
+    )
 
 
 def test_rmse_weighs_fixes_and_covers():
@@ -59,7 +70,9 @@ def test_rmse_weighs_fixes_and_covers():
 
 def test_without_skewness_it_is_students():
     x = np.concatenate([np.arange(50.0), -np.arange(50.0)])
-    assert intervals.mean(x) == pytest.approx(tuple(stats.ttest_1samp(x, 0).confidence_interval()), rel=1e-6)
+    assert intervals.mean(x) == pytest.approx(
+        tuple(stats.ttest_1samp(x, 0).confidence_interval()), rel=1e-6
+    )
 
 
 def test_the_correction_has_no_seam_at_small_skewness():
@@ -71,7 +84,9 @@ def test_the_correction_has_no_seam_at_small_skewness():
 
 @pytest.mark.parametrize("n", [1, 7, 50, 200])
 def test_wilson_is_scipys_and_its_coverage_by_enumeration(n):
-    """Mean coverage over all rates within 1 % of nominal from 50 on; at least 92 % where 10 or more are expected."""
+    """Mean coverage over all rates within 1 % of nominal from 50 on; at least 92 % where 10 or more
+    are expected.
+    """
     k = np.arange(n + 1)
     found = np.array([intervals.rate(int(i), n) for i in k])
     theirs = [stats.binomtest(int(i), n).proportion_ci(method="wilson") for i in k]
@@ -87,7 +102,9 @@ def test_wilson_is_scipys_and_its_coverage_by_enumeration(n):
 @pytest.mark.parametrize("n", [200, 301, 1000])
 @pytest.mark.parametrize("q", s.QUANTILES)
 def test_quantile_intervals_by_enumeration(n, q):
-    """Between order statistics l and u: covered are l <= B < u, B binomial. Neither tail above 2.5 %, none wasted."""
+    """Between order statistics l and u: covered are l <= B < u, B binomial. Neither tail above 2.5
+    %, none wasted.
+    """
     low, high = (int(v) for v in intervals.quantile(np.arange(1, n + 1), q))
     B = stats.binom(n, q)
     assert B.cdf(low - 1) <= 0.025 < B.cdf(low)
@@ -115,14 +132,19 @@ def test_pointwise_band_by_enumeration(n):
 
 
 def test_simultaneous_band_covers_the_whole_function():
-    """Uniform values, no end of the band overstepped anywhere; 95 to 96.5 % (false alarm: 0.02, its truth is 95.4 %)."""
+    """Uniform values, no end of the band overstepped anywhere; 95 to 96.5 % (false alarm: 0.02, its
+    truth is 95.4 %).
+    """
     rng, inside = np.random.default_rng(2), 0
     for _ in range(SIMULATIONS):
         band = intervals.cdf_band(rng.random(N))
         before = np.append(band.high[0] - 1 / N, band.high[:-1])  # just left of each step
         inside += bool(np.all(band.low <= band.x) and np.all(band.x <= before))
     assert 0.95 <= inside / SIMULATIONS < 0.965
-    narrow, wide = intervals.cdf_band(rng.random(N), pointwise=True), intervals.cdf_band(rng.random(N))
+    narrow, wide = (
+        intervals.cdf_band(rng.random(N), pointwise=True),
+        intervals.cdf_band(rng.random(N)),
+    )
     assert np.mean(narrow.high - narrow.low) < np.mean(wide.high - wide.low)
 
 
@@ -135,7 +157,9 @@ def test_bands_know_ties_and_leave_out_what_is_missing():
 
 
 def lost_together(rng, R=N, T=10):
-    """Horizontal errors (R, T) m whose scale belongs to the replication; a tenth of the fixes is missing."""
+    """Horizontal errors (R, T) m whose scale belongs to the replication; a tenth of the fixes is
+    missing.
+    """
     e = rng.rayleigh(1.0, (R, T)) * rng.uniform(0.5, 1.5, (R, 1))
     return np.where(rng.random((R, T)) < 0.1, np.nan, e)
 
@@ -160,7 +184,9 @@ def test_cep_error_is_the_actual_one_and_the_bootstraps(probability):
     actual = np.std([f.value for f in found])
     assert np.mean([f.se for f in found]) == pytest.approx(actual, rel=0.08)
     e = lost_together(rng, R=400)
-    se, (low, high) = intervals.bootstrap(lambda x: np.nanquantile(x, probability), e, resamples=1000)
+    se, (low, high) = intervals.bootstrap(
+        lambda x: np.nanquantile(x, probability), e, resamples=1000
+    )
     assert s.cep(e, probability).se == pytest.approx(se, rel=0.25)
     assert intervals.cep(e, probability) == pytest.approx((low, high), abs=0.8 * se)
     assert intervals.cep(e.T, probability, axis=1) == intervals.cep(e, probability)
@@ -177,7 +203,9 @@ def test_bootstrap_and_delta_method_agree_for_the_rmse():
     assert se == pytest.approx(s.pooled_rmse(x).se, rel=0.05)
     assert intervals.rmse(x) == pytest.approx((low, high), abs=0.15 * se)
     n = rng.integers(1, 20, 1000)
-    weighted, _ = intervals.bootstrap(lambda r, n: math.sqrt((n * r * r).sum() / n.sum()), x, n, resamples=4000)
+    weighted, _ = intervals.bootstrap(
+        lambda r, n: math.sqrt((n * r * r).sum() / n.sum()), x, n, resamples=4000
+    )
     assert weighted == pytest.approx(s.pooled_rmse(x, n).se, rel=0.05)
 
 
@@ -185,10 +213,14 @@ def test_bootstrap_of_whole_positions_agrees_with_clusters():
     rng = np.random.default_rng(6)
     scale = rng.uniform(0.5, 1.5, 300)
     error = np.abs(rng.normal(size=(10, 300))) * scale
-    everything = s.clusters(error, 0.6 * error, np.ones_like(error), np.ones(error.shape, dtype=bool))
+    everything = s.clusters(
+        error, 0.6 * error, np.ones_like(error), np.ones(error.shape, dtype=bool)
+    )
     se, _ = intervals.bootstrap(root, error, axis=1, resamples=3000)
     assert everything.standard_errors()["rmse_pooled_3d_m"] == pytest.approx(se, rel=0.07)
-    assert intervals.bootstrap(root, error, axis=0, resamples=500)[0] < 0.6 * se, "draws alone tell too little"
+    assert intervals.bootstrap(root, error, axis=0, resamples=500)[0] < 0.6 * se, (
+        "draws alone tell too little"
+    )
 
 
 def test_bootstrap_is_paired_and_repeats_itself():
@@ -208,9 +240,13 @@ def test_bootstrap_is_paired_and_repeats_itself():
 
 
 def test_bootstrap_covers():
-    """BCa of 500 samples of 200, 400 resamples each: at least 91.5 % (a true 94.5 % misses that with 0.003)."""
+    """BCa of 500 samples of 200, 400 resamples each: at least 91.5 % (a true 94.5 % misses that
+    with 0.003).
+    """
     draw, _, square = POPULATIONS["gamma"]
-    found = coverage(lambda x: intervals.bootstrap(root, x, resamples=400)[1], draw, math.sqrt(square), 500)
+    found = coverage(
+        lambda x: intervals.bootstrap(root, x, resamples=400)[1], draw, math.sqrt(square), 500
+    )
     assert found >= 0.915
 
 
@@ -225,19 +261,25 @@ def test_too_few_values_give_nan():
     assert math.isnan(s.cep(np.full((5, 3), math.nan)).value)
 
 
-# --- several comparisons ----------------------------------------------------------------------------------------------
+# --- several comparisons --------------------------------------------------------------------------
 
 
 def test_holm_by_hand():
-    """Sorted 0.005 0.01 0.03 0.04 times 4 3 2 1, never falling: 0.02 0.03 0.06 0.06; a NaN does not count."""
+    """Sorted 0.005 0.01 0.03 0.04 times 4 3 2 1, never falling: 0.02 0.03 0.06 0.06; a NaN does not
+    count.
+    """
     assert intervals.holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-    assert intervals.holm([0.01, math.nan, 0.5]) == pytest.approx([0.02, math.nan, 0.5], nan_ok=True)
+    assert intervals.holm([0.01, math.nan, 0.5]) == pytest.approx(
+        [0.02, math.nan, 0.5], nan_ok=True
+    )
     assert intervals.holm([0.6, 0.7]) == pytest.approx([1.0, 1.0])
     assert len(intervals.holm([])) == 0
 
 
 def test_holm_holds_the_rate_of_false_claims():
-    """Six estimators that are all alike against one: any claim in at most 5 % (+ 3 of its errors) of 10 000 tables."""
+    """Six estimators that are all alike against one: any claim in at most 5 % (+ 3 of its errors)
+    of 10 000 tables.
+    """
     rng = np.random.default_rng(8)
     z = (rng.normal(size=(SIMULATIONS, 6)) - rng.normal(size=(SIMULATIONS, 1))) / math.sqrt(2)
     false = np.array([np.any(intervals.holm(p) < 0.05) for p in 2 * stats.norm.sf(np.abs(z))])
@@ -260,12 +302,18 @@ def test_paired_rates_are_mcnemars():
         assert pair.p_value == pytest.approx(expected)
         assert pair.difference.value == (more - fewer) / 200
         low, high = pair.percent_interval()
-        assert low < 100 * pair.difference.value < high, "never of no width, even where nothing differs"
+        assert low < 100 * pair.difference.value < high, (
+            "never of no width, even where nothing differs"
+        )
 
 
-@pytest.mark.parametrize(("p", "q"), [(0.01, 0.01), (0.05, 0.01), (0.1, 0.1), (0.3, 0.1), (0.002, 0.0)])
+@pytest.mark.parametrize(
+    ("p", "q"), [(0.01, 0.01), (0.05, 0.01), (0.1, 0.1), (0.3, 0.1), (0.002, 0.0)]
+)
 def test_paired_rates_cover_by_enumeration(p, q):
-    """All outcomes of 100 replications of which a share p fails only in one and q only in the other: at least 94 %."""
+    """All outcomes of 100 replications of which a share p fails only in one and q only in the
+    other: at least 94 %.
+    """
     n, covered = 100, 0.0
     X = stats.multinomial(n, [p, q, 1 - p - q])
     for more in range(60):
@@ -278,12 +326,18 @@ def test_paired_rates_cover_by_enumeration(p, q):
 
 
 def test_so_many_replications_do_show_it():
-    """Predicted from one run: power 0.8 at a true difference of 1 %, over 2000 runs of that size (0.77 to 0.83)."""
+    """Predicted from one run: power 0.8 at a true difference of 1 %, over 2000 runs of that size
+    (0.77 to 0.83).
+    """
     rng = np.random.default_rng(11)
 
     def pair(n, percent=1.0):
         common = rng.gamma(4, 0.25, n)
-        return s.paired(common * (1 + percent / 100) + rng.normal(0, 0.05, n), common + rng.normal(0, 0.05, n))
+        return s.paired(
+            common * (1 + percent / 100) + rng.normal(0, 0.05, n), common + rng.normal(0, 0.05, n)
+        )
 
     n = round(np.mean([s.needed(pair(300, 0.0), 1.0, comparisons=4) for _ in range(200)]))
-    assert np.mean([pair(n).p_value < 0.05 / 4 for _ in range(2000)]) == pytest.approx(0.8, abs=0.03)
+    assert np.mean([pair(n).p_value < 0.05 / 4 for _ in range(2000)]) == pytest.approx(
+        0.8, abs=0.03
+    )

@@ -10,7 +10,9 @@ from aoabench.types import Estimates, Outcome
 
 def estimates(error, outcome, covariance=None):
     position = np.asarray(error, dtype=float)
-    return Estimates(position, covariance, None, np.asarray(outcome, dtype=np.int8)), np.zeros_like(position)
+    return Estimates(position, covariance, None, np.asarray(outcome, dtype=np.int8)), np.zeros_like(
+        position
+    )
 
 
 def test_only_fixes_with_a_position_count_and_outcomes_are_counted():
@@ -21,7 +23,9 @@ def test_only_fixes_with_a_position_count_and_outcomes_are_counted():
     assert row["rmse_xy_m"][0] == pytest.approx(np.sqrt((9 + 0 + 1) / 3))
     assert row["rmse_z_m"][0] == pytest.approx(np.sqrt(16 / 3))
     assert row["outcome"][0] == "failed"
-    assert [row[f"n_{n}"][0] for n in ("fixes", "ok", "diverged", "oscillated", "failed", "rejected")] == [
+    assert [
+        row[f"n_{n}"][0] for n in ("fixes", "ok", "diverged", "oscillated", "failed", "rejected")
+    ] == [
         5,
         1,
         1,
@@ -50,7 +54,9 @@ def test_nees_of_gaussian_errors_is_chi_square_with_three_degrees(rng):
 
 
 def test_nees_of_a_broken_covariance_is_missing_not_an_exception():
-    P = np.stack([np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag([1.0, 1.0, 1e-9])])[None]
+    P = np.stack([np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag([1.0, 1.0, 1e-9])])[
+        None
+    ]
     value = metrics.nees(np.ones((1, 4, 3)), P)
     assert value[0, 0] == pytest.approx(3)
     assert np.isnan(value[0, 1:]).all()

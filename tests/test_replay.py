@@ -13,7 +13,12 @@ from aoabench.cli import dispatch
 from aoabench.composing import compose_cells
 from aoabench.replaying import replay
 
-TRACK = ["noise=ae_flip", "filter=[pf_vmf,ekf_vmf,ukf_ae_adaptive]", "filter.pf_vmf.particles=500", "reps=20"]
+TRACK = [
+    "noise=ae_flip",
+    "filter=[pf_vmf,ekf_vmf,ukf_ae_adaptive]",
+    "filter.pf_vmf.particles=500",
+    "reps=20",
+]
 
 
 def run(out, *words):
@@ -39,7 +44,9 @@ def traced(out, name, replication):
 def test_a_replay_is_the_replication_that_was_stored(name, track):
     trace = traced(track, name, 13)
     stored = pd.read_parquet(track / "steps.parquet")
-    stored = stored[(stored["estimator"] == name) & (stored["replication"] == 13)].reset_index(drop=True)
+    stored = stored[(stored["estimator"] == name) & (stored["replication"] == 13)].reset_index(
+        drop=True
+    )
     for column in ("x_m", "y_m", "z_m", "error_3d_m", "outcome"):
         pd.testing.assert_series_equal(trace[column], stored[column], check_exact=True)
     rows = aoabench.load(track)
@@ -48,12 +55,16 @@ def test_a_replay_is_the_replication_that_was_stored(name, track):
     assert np.sqrt((trace["error_3d_m"] ** 2).mean()) == pytest.approx(row["rmse_3d_m"])
     assert np.allclose(trace["sigma_x_m"] ** 2, trace["cov_xx_m2"])
     truth = trace[["true_x_m", "true_y_m", "true_z_m"]].to_numpy()
-    assert np.allclose(np.linalg.norm(trace[["x_m", "y_m", "z_m"]].to_numpy() - truth, axis=1), trace["error_3d_m"])
+    assert np.allclose(
+        np.linalg.norm(trace[["x_m", "y_m", "z_m"]].to_numpy() - truth, axis=1), trace["error_3d_m"]
+    )
     assert trace[[f"azimuth_{j}_rad" for j in range(4)]].notna().all(axis=None)
 
 
 def test_innovations_are_measured_less_expected_at_the_prediction(track):
-    """The random walk predicts the last mean; the model's unit vector is the direction in the anchor's frame."""
+    """The random walk predicts the last mean; the model's unit vector is the direction in the
+    anchor's frame.
+    """
     cell = compose_cells(TRACK)[0]
     anchors = cell.scenario.known_anchors
     for name in ("ekf_vmf", "pf_vmf"):
@@ -129,15 +140,22 @@ def test_a_replay_of_a_failure_tells_what_it_was(tmp_path, monkeypatch):
         "        return Estimates(np.zeros((*shape, 3)), None, None, np.zeros(shape, dtype=np.int8))\n"
     )
     (tmp_path / "conf" / "estimator").mkdir(parents=True)
-    (tmp_path / "conf" / "estimator" / "trouble.yaml").write_text("trouble: {_target_: my_trouble.Trouble}\n")
-    aoabench.run("estimator=[trouble]", "reps=5", out="out", config_dir="conf", plugins=["my_trouble"])
+    (tmp_path / "conf" / "estimator" / "trouble.yaml").write_text(
+        "trouble: {_target_: my_trouble.Trouble}\n"
+    )
+    aoabench.run(
+        "estimator=[trouble]", "reps=5", out="out", config_dir="conf", plugins=["my_trouble"]
+    )
     again = pd.read_parquet("out/failures.parquet")["replay"].iloc[0]
     assert again.startswith("aoabench replay out ")
     said = replay(tmp_path / "out", 2, "trouble", plugins=["my_trouble"])
     assert "FloatingPointError: too far" in said
     assert "as stored" in said
     assert dispatch(shlex.split(again)[1:]) == 0
-    assert (pd.read_parquet(next((tmp_path / "out" / "replay").glob("*.parquet")))["outcome"] == "failed").all()
+    assert (
+        pd.read_parquet(next((tmp_path / "out" / "replay").glob("*.parquet")))["outcome"]
+        == "failed"
+    ).all()
 
 
 def test_the_worst_are_named_with_the_command_that_replays_them(tmp_path, capsys):
@@ -156,7 +174,10 @@ def test_the_worst_are_named_with_the_command_that_replays_them(tmp_path, capsys
     commands = re.findall(r"^ +aoabench (replay .*)$", said, re.MULTILINE)
     assert len(commands) == 3
     for command, row in zip(commands, frame.itertuples()):
-        assert f"--cell {row.cell} --estimator {row.estimator} --replication {row.replication}" in command
+        assert (
+            f"--cell {row.cell} --estimator {row.estimator} --replication {row.replication}"
+            in command
+        )
         assert f"{row.rmse_3d_m:.4g} m" in said
         assert dispatch(shlex.split(command)) == 0
         assert f"{row.rmse_3d_m:.17g} (as stored)" in capsys.readouterr().out

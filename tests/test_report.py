@@ -53,7 +53,10 @@ def test_a_changed_table_changes_the_verdict(results, tmp_path):
     folder, _ = results
     s = study.load("nurminen2018")
     frame = pd.read_parquet(folder / "tables" / "nurminen2018_table1.parquet")
-    frame.loc[(frame["data"] == "model1") & (frame["model"] == "vmf") & (frame["quantity"] == "share"), "value"] = 0.9
+    frame.loc[
+        (frame["data"] == "model1") & (frame["model"] == "vmf") & (frame["quantity"] == "share"),
+        "value",
+    ] = 0.9
     store.write_frame(tmp_path / "tables" / "nurminen2018_table1.parquet", frame)
     rows = study.verdicts([s], tmp_path).set_index("id")
     assert rows.loc["table1/model1/vmf/share", "verdict"] == "not reproducible"
@@ -87,7 +90,11 @@ def made_up_runs(layouts, counts=(10000,)):
 def test_printed_ids_are_found_by_the_figures_of_a_full_run():
     """Every id in printed.yaml is one that figures.py can give, on tables with made-up numbers."""
     s = study.load("nurminen2018")
-    names = [f"{a}_{m}" for a in ("ekf", "ukf") for m in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")]
+    names = [
+        f"{a}_{m}"
+        for a in ("ekf", "ukf")
+        for m in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")
+    ]
     made_up = {
         "frames": pd.DataFrame([
             {"estimator": n, "frame_rpy_deg": f, "rmse_mean_3d_m": 1.0, "se_m": 0.1, "change_percent": 2.0, "change_se": 1.0}
@@ -101,7 +108,11 @@ def test_printed_ids_are_found_by_the_figures_of_a_full_run():
         "particles": s.numbers.particles(made_up_runs(["square_track"], [3162, 10000])),
         "table1": s.numbers.table1("quick"), "fig1": s.numbers.fig1("quick"), "fig2": s.numbers.fig2("quick"),
     }  # fmt: skip
-    found = {key for name, frame in made_up.items() for key in getattr(s.figures, f"{name}_values")(frame)}
+    found = {
+        key
+        for name, frame in made_up.items()
+        for key in getattr(s.figures, f"{name}_values")(frame)
+    }
     assert {e["id"] for e in s.printed} <= found
 
 
@@ -125,7 +136,12 @@ def test_box_levels_are_the_papers():
     from aoabench.report.plots import boxes
 
     figure, axis = plt.subplots()
-    boxes(axis, [{"q05": 1, "q25": 2, "q50": 3, "q75": 4, "q95": 5, "minimum": 0, "maximum": 9}], [0], ["#000000"])
+    boxes(
+        axis,
+        [{"q05": 1, "q25": 2, "q50": 3, "q75": 4, "q95": 5, "minimum": 0, "maximum": 9}],
+        [0],
+        ["#000000"],
+    )
     (box,) = axis.patches
     x = box.get_path().vertices[:, 0]
     assert (x.min(), x.max()) == (2, 4)

@@ -46,7 +46,9 @@ def test_rows_do_not_depend_on_how_they_are_run(how, reference, tmp_path):
 
 
 def test_draws_and_rows_do_not_depend_on_the_selection(reference, tmp_path):
-    cells = compose_cells(["noise=ae_flip", "filter=[ekf_ae_nominal,ekf_vmf]", "reps=300", f"runner.out={tmp_path}"])
+    cells = compose_cells(
+        ["noise=ae_flip", "filter=[ekf_ae_nominal,ekf_vmf]", "reps=300", f"runner.out={tmp_path}"]
+    )
     runner.run(cells, progress=False)
     alone, among = rows(tmp_path), rows(reference)
     columns = [c for c in alone if c != "cell"]
@@ -68,7 +70,10 @@ def test_top_up_computes_only_what_is_missing_and_equals_a_fresh_run(reference, 
 
 
 def test_two_hundred_then_a_thousand_computes_eight_hundred(tmp_path):
-    cells = [compose_cells(["filter=[ekf_vmf]", f"reps={n}", f"runner.out={tmp_path}"]) for n in (200, 1000)]
+    cells = [
+        compose_cells(["filter=[ekf_vmf]", f"reps={n}", f"runner.out={tmp_path}"])
+        for n in (200, 1000)
+    ]
     assert runner.run(cells[0], progress=False).computed == 200
     assert runner.run(cells[1], progress=False).computed == 800
     frame = aoabench.load(tmp_path)
@@ -77,7 +82,10 @@ def test_two_hundred_then_a_thousand_computes_eight_hundred(tmp_path):
 
 def test_a_further_estimator_joins_the_cell(tmp_path):
     for names in ("ekf_vmf", "ukf_vmf"):
-        runner.run(compose_cells([f"filter=[{names}]", "reps=20", f"runner.out={tmp_path}"]), progress=False)
+        runner.run(
+            compose_cells([f"filter=[{names}]", "reps=20", f"runner.out={tmp_path}"]),
+            progress=False,
+        )
     frame = aoabench.load(tmp_path)
     assert frame["cell"].nunique() == 1
     assert set(frame["estimator"]) == {"ekf_vmf", "ukf_vmf"}
@@ -85,13 +93,24 @@ def test_a_further_estimator_joins_the_cell(tmp_path):
 
 def test_a_changed_parameter_is_another_cell_and_its_column(tmp_path):
     frame = aoabench.run(
-        "filter=[ukf_vmf,ekf_vmf]", "filter.ukf_vmf.lambda_=0.5,1", "noise.sigma_deg=4,8", "reps=20", out=tmp_path
+        "filter=[ukf_vmf,ekf_vmf]",
+        "filter.ukf_vmf.lambda_=0.5,1",
+        "noise.sigma_deg=4,8",
+        "reps=20",
+        out=tmp_path,
     )
     assert frame["cell"].nunique() == 4
     assert set(frame["noise.sigma_deg"]) == {4, 8}
     assert set(frame["filter.ukf_vmf.lambda_"]) == {0.5, 1}
     cells = pd.read_parquet(tmp_path / "cells.parquet")
-    assert {"noise.sigma_deg", "filter.ukf_vmf.lambda_", "config", "scenario", "noise", "seed"} <= set(cells)
+    assert {
+        "noise.sigma_deg",
+        "filter.ukf_vmf.lambda_",
+        "config",
+        "scenario",
+        "noise",
+        "seed",
+    } <= set(cells)
     assert json.loads(cells["config"][0])["scenario"]["name"] == "square_track"
 
 
@@ -100,7 +119,9 @@ def test_a_parameter_given_on_the_command_line_has_its_column_even_at_its_defaul
     frame = aoabench.run(*overrides, out=tmp_path)
     assert set(frame["filter.pf_vmf.particles"]) == {50}
     assert set(frame["noise.sigma_deg"]) == {10}
-    frame = aoabench.run("filter=[ukf_vmf]", "filter.ukf_vmf.lambda_=0.5", "reps=2", out=tmp_path / "b")
+    frame = aoabench.run(
+        "filter=[ukf_vmf]", "filter.ukf_vmf.lambda_=0.5", "reps=2", out=tmp_path / "b"
+    )
     assert set(frame["filter.ukf_vmf.lambda_"]) == {0.5}
 
 
@@ -152,16 +173,20 @@ def particle_reference(tmp_path_factory):
     ["filter=[pf_vmf,pf_ae_nominal]", "runner.n_jobs=1", "runner.chunk=64"],
     ["filter=[pf_vmf]", "runner.n_jobs=2", "runner.backend=threading", "runner.chunk=5"],
 ])  # fmt: skip
-def test_particle_filters_do_not_depend_on_how_they_are_run_nor_on_the_selection(how, particle_reference, tmp_path):
+def test_particle_filters_do_not_depend_on_how_they_are_run_nor_on_the_selection(
+    how, particle_reference, tmp_path
+):
     extra = ["filter.pf_ae_adaptive.particles=200"] if "pf_ae_adaptive" in how[0] else []
     runner.run(compose_cells([*PARTICLES, *how, *extra, f"runner.out={tmp_path}"]), progress=False)
     found = rows(tmp_path)
     for name in set(found["estimator"]) & {"pf_vmf", "pf_ae_adaptive"}:
-        a, b = (f[f["estimator"] == name]["rmse_3d_m"].to_numpy() for f in (found, particle_reference))
+        a, b = (
+            f[f["estimator"] == name]["rmse_3d_m"].to_numpy() for f in (found, particle_reference)
+        )
         assert np.array_equal(a, b), name
 
 
-# --- tables -----------------------------------------------------------------------------------------------------------
+# --- tables ---------------------------------------------------------------------------------------
 
 
 def test_tables_follow_the_documented_schemas(reference):
@@ -182,8 +207,12 @@ def test_tables_follow_the_documented_schemas(reference):
         assert np.allclose(np.sqrt(square.groupby(group["replication"]).mean()), mine["rmse_3d_m"])
         assert summary.loc[name, "rmse_pooled_3d_m"] == pytest.approx(np.sqrt(square.mean()))
         assert summary.loc[name, "rmse_mean_3d_m"] == pytest.approx(mine["rmse_3d_m"].mean())
-        assert summary.loc[name, "rmse_mean_3d_m_se"] == pytest.approx(mine["rmse_3d_m"].std() / np.sqrt(300))
-    origin = store.read_provenance(reference / "replications.parquet" / f"{frame['cell'][0]}.parquet")
+        assert summary.loc[name, "rmse_mean_3d_m_se"] == pytest.approx(
+            mine["rmse_3d_m"].std() / np.sqrt(300)
+        )
+    origin = store.read_provenance(
+        reference / "replications.parquet" / f"{frame['cell'][0]}.parquet"
+    )
     assert origin["config"]["seed"] == 1
     assert {"numpy", "scipy"} <= set(origin["libraries"])
     assert origin["cpu_features"]
@@ -195,7 +224,7 @@ def test_steps_asked_for_later_are_computed_then(tmp_path):
     assert len(pd.read_parquet(tmp_path / "steps.parquet")) == 20 * 64 * 2
 
 
-# --- keys and integrity -----------------------------------------------------------------------------------------------
+# --- keys and integrity ---------------------------------------------------------------------------
 
 
 def test_an_altered_part_is_found_and_computed_again(tmp_path):
@@ -255,13 +284,21 @@ def test_source_hash_of_a_filter_covers_what_it_imports_but_no_plot(monkeypatch)
 
     read = []
     original = store._parsed
-    monkeypatch.setattr(store, "_parsed", lambda file, *a: (read.append(file), original(file, *a))[1])
+    monkeypatch.setattr(
+        store, "_parsed", lambda file, *a: (read.append(file), original(file, *a))[1]
+    )
     store.source_hash({"aoabench.filters.kalman", "aoabench.montecarlo"})
     names = {f"{f.parent.name}.{f.stem}" for f in read}
     assert {f"aoabench.{n}" for n in ("montecarlo", "geometry", "metrics", "types", "streams")} | {
         "filters.kalman"
     } <= names
-    assert not names & {"report.study", "aoabench.store", "aoabench.runner", "aoabench.tables", "aoabench.config"}
+    assert not names & {
+        "report.study",
+        "aoabench.store",
+        "aoabench.runner",
+        "aoabench.tables",
+        "aoabench.config",
+    }
     assert "numpy" in sys.modules
 
 
@@ -277,7 +314,14 @@ def test_changed_source_is_never_reused_and_a_changed_plot_is(tmp_path):
     shutil.copytree(package, tmp_path / "aoabench", ignore=shutil.ignore_patterns("__pycache__"))
     for folder in ("configs", "experiments"):
         shutil.copytree(store.shipped(folder), tmp_path / folder, dirs_exist_ok=True)
-    words = ["run", "filter=[ekf_vmf]", "filter.ekf_vmf.engine=numpy", "reps=8", "runner.n_jobs=1", "runner.out=out"]
+    words = [
+        "run",
+        "filter=[ekf_vmf]",
+        "filter.ekf_vmf.engine=numpy",
+        "reps=8",
+        "runner.n_jobs=1",
+        "runner.out=out",
+    ]
 
     def said():
         environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
@@ -311,7 +355,7 @@ def test_missing_ranges(done, reps, gaps):
     assert store.missing_ranges(done, reps) == gaps
 
 
-# --- an estimator of one's own ----------------------------------------------------------------------------------------
+# --- an estimator of one's own --------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)
@@ -340,8 +384,12 @@ def test_an_object_of_ones_own_gets_its_rows_and_the_same_draws(tmp_path, refere
     assert summary.loc["middle", "failure_rate"] == 1.0
     theirs = frame[frame["estimator"] == "ekf_vmf"]["rmse_3d_m"].to_numpy()
     among = rows(reference)
-    assert np.array_equal(theirs, among[among["estimator"] == "ekf_vmf"]["rmse_3d_m"].to_numpy()[:60])
-    again = aoabench.run(*BASE, "reps=60", estimators={"middle": AlwaysTheMiddle(shift_m=1.0)}, out=tmp_path)
+    assert np.array_equal(
+        theirs, among[among["estimator"] == "ekf_vmf"]["rmse_3d_m"].to_numpy()[:60]
+    )
+    again = aoabench.run(
+        *BASE, "reps=60", estimators={"middle": AlwaysTheMiddle(shift_m=1.0)}, out=tmp_path
+    )
     assert not np.allclose(again[again["estimator"] == "middle"]["rmse_3d_m"], mine["rmse_3d_m"])
 
 
@@ -392,12 +440,13 @@ def test_load_says_what_is_missing(tmp_path):
         aoabench.load(tmp_path)
 
 
-# --- several cells, other people's mistakes ---------------------------------------------------------------------------
+# --- several cells, other people's mistakes -------------------------------------------------------
 
 
 def test_cells_that_are_one_are_merged_and_shared_parts_computed_once(tmp_path):
     done = runner.run(
-        compose_cells(["filter=[ekf_vmf],[ukf_vmf]", "reps=20", f"runner.out={tmp_path}/a"]), progress=False
+        compose_cells(["filter=[ekf_vmf],[ukf_vmf]", "reps=20", f"runner.out={tmp_path}/a"]),
+        progress=False,
     )
     assert done.computed == 40
     assert aoabench.load(tmp_path / "a")["cell"].nunique() == 1
@@ -418,7 +467,9 @@ def test_cells_that_are_one_are_merged_and_shared_parts_computed_once(tmp_path):
 
 
 def test_equal_numbers_are_one_cell(tmp_path):
-    cells = compose_cells(["filter=[ekf_vmf]", "noise.sigma_deg=5,5.0", "reps=5", f"runner.out={tmp_path}"])
+    cells = compose_cells(
+        ["filter=[ekf_vmf]", "noise.sigma_deg=5,5.0", "reps=5", f"runner.out={tmp_path}"]
+    )
     assert runner.run(cells, progress=False).computed == 5
 
 
@@ -479,13 +530,27 @@ def test_a_nan_that_claims_to_be_a_position_is_a_failure(tmp_path):
 
 
 def test_wrong_shapes_are_named(tmp_path):
-    with pytest.raises(aoabench.UserError, match=r"Careless: Estimates.position must have the shape"):
-        aoabench.run("filter=[]", "reps=5", "runner.n_jobs=1", estimators={"a": Careless("shape")}, out=tmp_path)
+    with pytest.raises(
+        aoabench.UserError, match=r"Careless: Estimates.position must have the shape"
+    ):
+        aoabench.run(
+            "filter=[]",
+            "reps=5",
+            "runner.n_jobs=1",
+            estimators={"a": Careless("shape")},
+            out=tmp_path,
+        )
 
 
 def test_what_estimators_share_cannot_be_written(tmp_path):
     with pytest.raises(aoabench.RunError, match="read-only"):
-        aoabench.run("filter=[]", "reps=5", "runner.n_jobs=1", estimators={"a": Careless("writes")}, out=tmp_path)
+        aoabench.run(
+            "filter=[]",
+            "reps=5",
+            "runner.n_jobs=1",
+            estimators={"a": Careless("writes")},
+            out=tmp_path,
+        )
 
 
 def test_estimators_that_saw_older_draws_leave_the_cell(tmp_path, monkeypatch):
@@ -565,11 +630,18 @@ def test_results_are_keyed_on_the_content_of_data_files(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     nodes = "x_m,y_m,z_m,facing_deg\n0,3,3,0\n10,3,3,180\n5,0,3,90\n"
-    words = ["scenario=indoor_map", "scenario.walls=null", "scenario.anchors=nodes.csv", "scenario.route=[[2,3],[8,3]]"]
+    words = [
+        "scenario=indoor_map",
+        "scenario.walls=null",
+        "scenario.anchors=nodes.csv",
+        "scenario.route=[[2,3],[8,3]]",
+    ]
     keys = []
     for text in (nodes, nodes, nodes.replace("5,0,3", "5,1,3")):
         (tmp_path / "nodes.csv").write_text(text)
-        keys.append(store.draws_key(compose_cells([*words, "noise=ofdm_crlb", "filter=[ekf_aoa]"])[0]))
+        keys.append(
+            store.draws_key(compose_cells([*words, "noise=ofdm_crlb", "filter=[ekf_aoa]"])[0])
+        )
     assert keys[0] == keys[1] != keys[2]
 
 
@@ -582,7 +654,12 @@ def test_known_access_nodes_are_drawn_per_replication_and_paired_over_the_uncert
 
     offset = {}
     for sigma in (1.0, 3.0):
-        words = ["scenario=indoor_map", "noise=ofdm_crlb", "filter=[ekf_aoa]", f"noise.an_sigma_m={sigma}"]
+        words = [
+            "scenario=indoor_map",
+            "noise=ofdm_crlb",
+            "filter=[ekf_aoa]",
+            f"noise.an_sigma_m={sigma}",
+        ]
         cell = compose_cells([*words, "scenario.route=[[17.5,24.5],[19.5,24.5]]"])[0]
         anchors = Draws(cell.scenario, cell.noise, 1).tile(0, 4)[1].anchors
         offset[sigma] = anchors.position - cell.scenario.known_anchors.position

@@ -13,10 +13,14 @@ CELLS = 100
 
 
 def test_a_hundred_cells_leave_memory_and_handles_as_they_were(tmp_path, monkeypatch):
-    """In this process, where all work is done; looked at after a fifth of the tasks, when everything has been loaded."""
+    """In this process, where all work is done; looked at after a fifth of the tasks, when
+    everything has been loaded.
+    """
     words = ["filter=[ekf_vmf]", "reps=2", "runner.n_jobs=1", f"runner.out={tmp_path}"]
     first = compose_cells(words)[0]
-    cells = [replace(first, seed=seed, config={**first.config, "seed": seed}) for seed in range(CELLS)]
+    cells = [
+        replace(first, seed=seed, config={**first.config, "seed": seed}) for seed in range(CELLS)
+    ]
     me, seen = psutil.Process(), []
     compute = workers.compute
 

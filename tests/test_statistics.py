@@ -1,6 +1,7 @@
 """Standard errors and intervals by simulation, verdicts on made-up numbers.
 
-Simulations use fixed seeds; the tolerance on a standard error's mean is 4 of its own Monte Carlo errors or as stated.
+Simulations use fixed seeds; the tolerance on a standard error's mean is 4 of its own Monte Carlo
+errors or as stated.
 """
 
 import math
@@ -34,7 +35,9 @@ def skewed(rng, n=1000):
     (lambda x: s.quantile(x, 0.95), stats.gamma(3, scale=0.3).ppf(0.95)),
 ], ids=["mean", "rmse", "median", "q05", "q95"])  # fmt: skip
 def test_standard_errors_and_coverage(estimator, truth):
-    """Estimated error within 10 % of the actual one; 95 % intervals cover in at least 92 % of 2000 samples of 1000."""
+    """Estimated error within 10 % of the actual one; 95 % intervals cover in at least 92 % of 2000
+    samples of 1000.
+    """
     estimated, actual, found = spread(estimator, skewed)
     assert estimated == pytest.approx(actual, rel=0.10)
     covered = np.mean([lo <= truth <= hi for lo, hi in (f.interval() for f in found)])
@@ -46,7 +49,9 @@ def test_quantile_error_is_the_order_statistics():
     for q in s.QUANTILES:
         ours = s.quantile(x, q)
         assert ours.value == pytest.approx(np.quantile(x, q))
-        m = int(q * 301 + 0.5)  # the order statistic's own distribution, by quadrature over its beta density
+        m = int(
+            q * 301 + 0.5
+        )  # the order statistic's own distribution, by quadrature over its beta density
         u = (np.arange(400_000) + 0.5) / 400_000
         picked = np.sort(x)[np.minimum((stats.beta(m, 302 - m).ppf(u) * 301).astype(int), 300)]
         assert ours.se == pytest.approx(picked.std(), rel=1e-3)
@@ -83,15 +88,18 @@ def test_values_that_are_missing_are_left_out_and_too_few_give_nan():
 
 
 def test_paired_differences_are_exact_and_cover():
-    """t interval of the difference and delta interval of the percentage: at least 94 % of 10 000 samples of 200 pairs
-    (a true 94.7 % misses that with probability 0.001)."""
+    """t interval of the difference and delta interval of the percentage: at least 94 % of 10 000
+    samples of 200 pairs (a true 94.7 % misses that with probability 0.001)."""
     rng = np.random.default_rng(5)
     inside = np.zeros(2)
     for _ in range(10_000):
         common = rng.gamma(4, 0.2, 200)
         a, b = 1.1 * common + rng.normal(0, 0.1, 200), common + rng.normal(0, 0.1, 200)
         pair = s.paired(a, b)
-        inside += [lo <= t <= hi for (lo, hi), t in zip((pair.interval(), pair.percent_interval()), (0.08, 10.0))]
+        inside += [
+            lo <= t <= hi
+            for (lo, hi), t in zip((pair.interval(), pair.percent_interval()), (0.08, 10.0))
+        ]
     assert np.all(inside / 10_000 >= 0.94)
     reference = stats.ttest_rel(a, b)
     assert pair.p_value == pytest.approx(reference.pvalue)
@@ -149,7 +157,10 @@ def test_undecided_is_said():
 def test_a_true_number_is_seldom_missed():
     """Printed 0.33 from a true 0.3349: the rule misses it in fewer than 0.3 % of 20 000 samples."""
     rng = np.random.default_rng(9)
-    missed = [verdict(0.33, 0.005, Estimate(v, 0.001)) != "reproduced" for v in rng.normal(0.3349, 0.001, 20_000)]
+    missed = [
+        verdict(0.33, 0.005, Estimate(v, 0.001)) != "reproduced"
+        for v in rng.normal(0.3349, 0.001, 20_000)
+    ]
     assert np.mean(missed) < 0.003
 
 
@@ -171,7 +182,9 @@ def test_summary_of_replications():
     assert row["replications"] == n
     assert row["failure_rate"] == pytest.approx(0.1)
     wilson = stats.binomtest(5, n).proportion_ci(method="wilson")
-    assert (row["failure_rate_low"], row["failure_rate_high"]) == pytest.approx((wilson.low, wilson.high))
+    assert (row["failure_rate_low"], row["failure_rate_high"]) == pytest.approx(
+        (wilson.low, wilson.high)
+    )
     assert row["share_failed"] == pytest.approx(20 / 500)
     assert math.isnan(row["rmse_mean_z_m"])
     assert row["rmse_q50_3d_m"] == pytest.approx(frame["rmse_3d_m"].median())
@@ -188,10 +201,15 @@ def clustered(rng, R, P):
 
 def test_clustered_sums_add_up_and_are_the_plain_ones_of_independent_fixes(rng):
     whole = clustered(rng, 20, 50)
-    c, halves = s.clusters(*whole), s.clusters(*(a[:7] for a in whole)) + s.clusters(*(a[7:] for a in whole))
+    c, halves = (
+        s.clusters(*whole),
+        s.clusters(*(a[:7] for a in whole)) + s.clusters(*(a[7:] for a in whole)),
+    )
     for f in fields(s.Clusters):
         assert np.allclose(getattr(c, f.name), getattr(halves, f.name))
-    error, _, iterations, accepted = (a[:1] for a in whole)  # one replication: every fix is its own cluster
+    error, _, iterations, accepted = (
+        a[:1] for a in whole
+    )  # one replication: every fix is its own cluster
     one = s.clusters(*(a[:1] for a in whole)).standard_errors()
     e = error[accepted]
     assert one["rmse_pooled_3d_m"] == pytest.approx(s.pooled_rmse(e).se, rel=0.02)
@@ -202,10 +220,16 @@ def test_clustered_sums_add_up_and_are_the_plain_ones_of_independent_fixes(rng):
 
 @pytest.mark.parametrize("name", ["rmse_pooled_3d_m", "rmse_mean_xy_m", "iterations_mean"])
 def test_clustered_intervals_cover(name):
-    """2000 studies of 10 draws at 200 positions: the 95 % interval covers the truth in 93 to 97 % (false alarm 1e-4)."""
+    """2000 studies of 10 draws at 200 positions: the 95 % interval covers the truth in 93 to 97 %
+    (false alarm 1e-4).
+    """
     rng, hits = np.random.default_rng(3), 0
     E2 = 1 + 1 / 12  # mean square of the scale; its mean is 1
-    truth = {"rmse_pooled_3d_m": np.sqrt(E2), "rmse_mean_xy_m": 0.6 * np.sqrt(E2), "iterations_mean": 3.0}[name]
+    truth = {
+        "rmse_pooled_3d_m": np.sqrt(E2),
+        "rmse_mean_xy_m": 0.6 * np.sqrt(E2),
+        "iterations_mean": 3.0,
+    }[name]
     for _ in range(2000):
         error, xy, iterations, accepted = clustered(rng, 10, 200)
         c = s.clusters(error, xy, iterations, accepted)
@@ -219,15 +243,22 @@ def test_clustered_intervals_cover(name):
 
 
 def test_clustered_comparisons_cover():
-    """2000 studies of two methods, 10 draws at 200 positions: 93 to 97 % hold the true 10 % (false alarm below 1e-4)."""
+    """2000 studies of two methods, 10 draws at 200 positions: 93 to 97 % hold the true 10 % (false
+    alarm below 1e-4).
+    """
     rng, hits = np.random.default_rng(3), 0
     for _ in range(2000):
         scale, rmse, influence = rng.uniform(0.5, 1.5, size=200), [], []
         for factor in (1.1, 1.0):
             own = factor * rng.uniform(0.8, 1.2, size=200)  # each has its own bad positions
-            error, accepted = np.abs(rng.normal(size=(10, 200))) * scale * own, rng.random((10, 200)) > 0.1
+            error, accepted = (
+                np.abs(rng.normal(size=(10, 200))) * scale * own,
+                rng.random((10, 200)) > 0.1,
+            )
             rmse.append(np.sqrt((error**2 * accepted).sum(axis=1) / accepted.sum(axis=1)))
-            influence.append(s.clusters(error, error, np.ones_like(error), accepted).influence("rmse_3d_m"))
+            influence.append(
+                s.clusters(error, error, np.ones_like(error), accepted).influence("rmse_3d_m")
+            )
         pair = s.paired(*rmse, tuple(influence))
         low, high = pair.percent_interval()
         hits += low < 10 < high
@@ -244,5 +275,13 @@ def test_packets_of_one_position_are_one_cluster(rng):
     assert np.allclose(g.square_xy, (error**2).reshape(6, 4, 3).sum(axis=(0, 2)))
     assert g.replications == 6
     assert np.isclose(g.influence_3d.sum(), c.influence_3d.sum())
-    same = s.clusters(np.repeat(error[:, ::3], 3, axis=1), error, np.ones_like(error), np.ones(error.shape, dtype=bool))
-    assert same.grouped(place).standard_errors()["rmse_pooled_3d_m"] > 1.3 * same.standard_errors()["rmse_pooled_3d_m"]
+    same = s.clusters(
+        np.repeat(error[:, ::3], 3, axis=1),
+        error,
+        np.ones_like(error),
+        np.ones(error.shape, dtype=bool),
+    )
+    assert (
+        same.grouped(place).standard_errors()["rmse_pooled_3d_m"]
+        > 1.3 * same.standard_errors()["rmse_pooled_3d_m"]
+    )

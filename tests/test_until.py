@@ -45,7 +45,10 @@ def test_each_cell_stops_at_the_first_count_at_which_all_its_estimators_are_prec
         estimators = [group.sort_values("replication") for _, group in rows.groupby("estimator")]
         assert all(se(group) <= 0.007 for group in estimators)
         for earlier in counts[:i]:
-            assert any(se(group[group["replication"] < earlier]) > 0.007 for group in estimators), (cell, earlier)
+            assert any(se(group[group["replication"] < earlier]) > 0.007 for group in estimators), (
+                cell,
+                earlier,
+            )
     assert reached[5] < reached[20] < 2000
 
 
@@ -63,10 +66,18 @@ def test_what_was_reached_is_told(reference):
 @pytest.mark.parametrize(
     "how", [["runner.n_jobs=2", "runner.chunk=7"], ["runner.n_jobs=2", "runner.backend=threading"]]
 )
-def test_the_outcome_does_not_depend_on_how_it_is_run_nor_on_what_was_there(how, reference, tmp_path):
+def test_the_outcome_does_not_depend_on_how_it_is_run_nor_on_what_was_there(
+    how, reference, tmp_path
+):
     """One cell is there with fewer, the other one with more replications than it needs."""
     for sigma, reps in ((5, 1000), (20, 30)):
-        words = [*WORDS[:1], f"noise.sigma_deg={sigma}", WORDS[2], f"reps={reps}", f"runner.out={tmp_path}"]
+        words = [
+            *WORDS[:1],
+            f"noise.sigma_deg={sigma}",
+            WORDS[2],
+            f"reps={reps}",
+            f"runner.out={tmp_path}",
+        ]
         runner.run(compose_cells(words), progress=False)
     done = run(tmp_path, *how)
     assert done.reused > 0

@@ -21,7 +21,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m aoabench.bench", description=measures.__doc__)
     parser.add_argument("--results", default="results", type=Path)
     parser.add_argument("--repeats", default=7, type=int)
-    parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="PART", help=", ".join(names))
+    parser.add_argument(
+        "--only", nargs="+", choices=names, default=names, metavar="PART", help=", ".join(names)
+    )
     given = parser.parse_args()
     path = given.results / "bench" / "bench.parquet"
     frame = pd.read_parquet(path) if path.exists() else pd.DataFrame({"part": []})
@@ -30,10 +32,15 @@ def main() -> None:
             found = []
             for row in part(given.repeats):
                 found.append({"part": part.__name__, **asdict(row)})
-                print(f"{row.what:34s} {row.detail:32s} {row.value:10.3f} {row.unit:5s} {row.target}", flush=True)
+                print(
+                    f"{row.what:34s} {row.detail:32s} {row.value:10.3f} {row.unit:5s} {row.target}",
+                    flush=True,
+                )
             others = frame[frame["part"].isin(set(names) - {part.__name__})]
             frame = pd.concat([others, pd.DataFrame(found)]) if len(others) else pd.DataFrame(found)
-            frame = frame.sort_values("part", key=lambda c: c.map(names.index), kind="stable", ignore_index=True)
+            frame = frame.sort_values(
+                "part", key=lambda c: c.map(names.index), kind="stable", ignore_index=True
+            )
             store.write_frame(path, frame)  # part by part: nothing measured is lost
     draw(frame, path.with_suffix(".png"))
     readme = Path("README.md")
@@ -49,7 +56,10 @@ def draw(frame: Any, path: Path) -> None:
 
     def make() -> Any:
         figure, axes = plots.new(plots.PAGE, 2.6, cols=2)
-        panels = [("particle-step", "ns per particle and step"), ("Kalman step", "µs per replication and step")]
+        panels = [
+            ("particle-step", "ns per particle and step"),
+            ("Kalman step", "µs per replication and step"),
+        ]
         models = list(plots.LABELS)
         for axis, (what, label) in zip(axes, panels):
             part = frame[frame["what"].str.fullmatch(rf"{what}( in .*)?")]
@@ -62,9 +72,16 @@ def draw(frame: Any, path: Path) -> None:
                     i = models.index(key) if key in models else models.index("ae_nominal")
                     marker = "s" if row["detail"].lower().startswith("ukf") else "o"
                     axis.plot(
-                        row["value"], height + 0.13 * (1.5 - i), marker, color=plots.COLOURS[models[i]], markersize=4
+                        row["value"],
+                        height + 0.13 * (1.5 - i),
+                        marker,
+                        color=plots.COLOURS[models[i]],
+                        markersize=4,
                     )
-            names = [e.replace(what, "").removeprefix(" in ").replace("NumPy", "aoabench, NumPy") for e in engines]
+            names = [
+                e.replace(what, "").removeprefix(" in ").replace("NumPy", "aoabench, NumPy")
+                for e in engines
+            ]
             axis.set_yticks(range(len(engines)), [name or "aoabench" for name in names])
             axis.set(xscale="log", xlabel=label, ylim=(-0.5, len(engines) - 0.5))
             axis.set_xlim(left=0.5 * part["value"].min())
@@ -94,7 +111,9 @@ def markdown(frame: Any) -> str:
 def write_into(readme: Path, table: str) -> None:
     """Replace what lies between the two marks."""
     text = readme.read_text(encoding="utf-8")
-    new = re.sub(r"(?s)(<!-- bench -->\n).*?(\n<!-- /bench -->)", lambda m: m[1] + table + m[2], text)
+    new = re.sub(
+        r"(?s)(<!-- bench -->\n).*?(\n<!-- /bench -->)", lambda m: m[1] + table + m[2], text
+    )
     readme.write_text(new, encoding="utf-8")
 
 

@@ -1,7 +1,8 @@
-"""The same work in other libraries: one lap of the square track, azimuth-elevation model, all anchors at once.
+"""The same work in other libraries: one lap of the square track, azimuth-elevation model, all
+anchors at once.
 
-Each function returns the estimated positions (T, 3) m, so that it can be seen that it does the same work. Whoever knows
-a faster way to write one of these: it belongs here.
+Each function returns the estimated positions (T, 3) m, so that it can be seen that it does the same
+work. Whoever knows a faster way to write one of these: it belongs here.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ def available() -> dict[str, Callable[[Any, Batch, float, int], dict[str, Lap]]]
 def stone_soup(scenario: Any, batch: Batch, sigma: float, particles: int) -> dict[str, Lap]:
     """EKF, UKF and particle filter, each in the way that is faster.
 
-    The Kalman filters take all anchors in one combined measurement, the particle filter takes one after the other and
-    resamples after the last.
+    The Kalman filters take all anchors in one combined measurement, the particle filter takes one
+    after the other and resamples after the last.
     """
     from stonesoup.models.measurement.nonlinear import (
         CartesianToElevationBearing,
@@ -67,7 +68,9 @@ def stone_soup(scenario: Any, batch: Batch, sigma: float, particles: int) -> dic
     models = [seen_from(s, R) for s, R in anchors]
     together = CombinedReversibleGaussianMeasurementModel(models)
     _, Q = scenario.motion.matrices(scenario.dt)
-    motion = CombinedLinearGaussianTransitionModel([RandomWalk(q) for q in np.diag(Q) / scenario.dt])
+    motion = CombinedLinearGaussianTransitionModel(
+        [RandomWalk(q) for q in np.diag(Q) / scenario.dt]
+    )
     start = datetime(2018, 1, 1)
     T, B = batch.azimuth.shape[1:]
 
@@ -80,21 +83,29 @@ def stone_soup(scenario: Any, batch: Batch, sigma: float, particles: int) -> dic
             time = start + timedelta(seconds=(k + 1) * scenario.dt)
             measured = StateVector([angle for j in range(B) for angle in angles(k, j)])
             detection = Detection(measured, timestamp=time, measurement_model=together)
-            state = updater.update(SingleHypothesis(predictor.predict(state, timestamp=time), detection))
+            state = updater.update(
+                SingleHypothesis(predictor.predict(state, timestamp=time), detection)
+            )
             found.append(np.asarray(state.mean, dtype=float).ravel())
         return np.array(found)
 
     def particle() -> Array:
         points = np.random.default_rng(0).multivariate_normal(mean, cov, particles).T
-        state = ParticleState(StateVectors(points), weight=np.full(particles, 1 / particles), timestamp=start)
+        state = ParticleState(
+            StateVectors(points), weight=np.full(particles, 1 / particles), timestamp=start
+        )
         predictor, found = ParticlePredictor(motion), []
         for k in range(T):
             time = start + timedelta(seconds=(k + 1) * scenario.dt)
             state = predictor.predict(state, timestamp=time)
             for j, model in enumerate(models):
                 resampler = ESSResampler(threshold=0.1 * particles) if j == B - 1 else None
-                detection = Detection(StateVector(angles(k, j)), timestamp=time, measurement_model=model)
-                state = ParticleUpdater(model, resampler=resampler).update(SingleHypothesis(state, detection))
+                detection = Detection(
+                    StateVector(angles(k, j)), timestamp=time, measurement_model=model
+                )
+                state = ParticleUpdater(model, resampler=resampler).update(
+                    SingleHypothesis(state, detection)
+                )
             found.append(np.asarray(state.mean, dtype=float).ravel())
         return np.array(found)
 
@@ -109,7 +120,9 @@ def stone_soup(scenario: Any, batch: Batch, sigma: float, particles: int) -> dic
 
 
 def filter_py(scenario: Any, batch: Batch, sigma: float, particles: int) -> dict[str, Lap]:
-    """EKF and UKF as its book has them; the particle filter around its systematic resampling, in NumPy."""
+    """EKF and UKF as its book has them; the particle filter around its systematic resampling, in
+    NumPy.
+    """
     from filterpy.kalman import ExtendedKalmanFilter, JulierSigmaPoints, UnscentedKalmanFilter
     from filterpy.monte_carlo import systematic_resample
 
@@ -176,7 +189,9 @@ def filter_py(scenario: Any, batch: Batch, sigma: float, particles: int) -> dict
         for y in Y:
             x = x + root * rng.standard_normal(x.shape)
             azimuth, elevation = to_azel(*in_frames(x[None], position, rotation))
-            loglik = -0.5 * ((wrap(y[::2] - azimuth[0]) ** 2 + (y[1::2] - elevation[0]) ** 2) / sigma**2).sum(axis=-1)
+            loglik = -0.5 * (
+                (wrap(y[::2] - azimuth[0]) ** 2 + (y[1::2] - elevation[0]) ** 2) / sigma**2
+            ).sum(axis=-1)
             w = w * np.exp(loglik - loglik.max())
             w = w / w.sum()
             found.append(w @ x)

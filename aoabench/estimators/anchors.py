@@ -1,5 +1,6 @@
-"""One anchor, one position: its ray meets the plane of the node's known height [Boquet 2024, 2.2.1]; and what naive
-methods make of several such positions: choose one anchor, or take the mean [Boquet 2024, 4.2 and Table 1].
+"""One anchor, one position: its ray meets the plane of the node's known height [Boquet 2024,
+2.2.1]; and what naive methods make of several such positions: choose one anchor, or take the mean
+[Boquet 2024, 4.2 and Table 1].
 """
 
 from __future__ import annotations
@@ -16,16 +17,20 @@ from aoabench.types import Anchors, BadValue, Batch, Estimates, Outcome, UserErr
 
 
 def directions(batch: Batch) -> Array:
-    """Measured directions (R, T, B, 3), unit vectors in the global frame; NaN where an angle is not measured."""
+    """Measured directions (R, T, B, 3), unit vectors in the global frame; NaN where an angle is not
+    measured.
+    """
     u = to_unit(batch.azimuth, batch.elevation)
     return (u[..., None, :] @ batch.anchors.rotation[:, None])[..., 0, :]
 
 
 def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array:
-    """Where rays along unit vectors u (R, T, B, 3) from the anchors meet the plane z = height: (R, T, B, 2) m.
+    """Where rays along unit vectors u (R, T, B, 3) from the anchors meet the plane z = height: (R,
+    T, B, 2) m.
 
-    A ray that would meet it further than `horizon` rad below the horizon allows, or never, is turned down (or up,
-    towards the plane) to that angle; an exactly vertical one meets it at the anchor.
+    A ray that would meet it further than `horizon` rad below the horizon allows, or never, is
+    turned down (or up, towards the plane) to that angle; an exactly vertical one meets it at the
+    anchor.
     """
     s = anchors.position[:, None]
     h = height - s[..., 2]
@@ -37,19 +42,31 @@ def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array
 
 
 def known_height(scenario: Any) -> float | None:
-    """The height m at which the scenario says that its target is; None where it says none, or no single one."""
+    """The height m at which the scenario says that its target is; None where it says none, or no
+    single one.
+    """
     height = getattr(scenario, "height_m", None)
     return height if isinstance(height, int | float) else None
 
 
 def plane_of(height_m: float | None, scenario: Any) -> float:
-    """The height m that a method was given, or else the scenario's. BadValue where none is, or an anchor in it."""
+    """The height m that a method was given, or else the scenario's. BadValue where none is, or an
+    anchor in it.
+    """
     height = known_height(scenario) if height_m is None else height_m
     if height is None:
-        raise BadValue("height_m", None, "a number of m: the scenario does not say at which height its target is")
+        raise BadValue(
+            "height_m",
+            None,
+            "a number of m: the scenario does not say at which height its target is",
+        )
     level = np.abs(scenario.known_anchors.position[..., 2] - height) < 1e-9
     if level.any():
-        raise BadValue("height_m", height, f"a height other than that of anchor {np.flatnonzero(level.any(0))[0] + 1}")
+        raise BadValue(
+            "height_m",
+            height,
+            f"a height other than that of anchor {np.flatnonzero(level.any(0))[0] + 1}",
+        )
     return float(height)
 
 
@@ -68,8 +85,8 @@ def in_plane(xy: Array, score: Array | None, used: Array) -> Estimates:
 
 @dataclass(frozen=True)
 class _OnPlane:
-    """height_m: of the plane, null for the scenario's; horizon_deg (0, 90): rays look at least this far towards it;
-    clip: positions are moved into the scenario's bounds."""
+    """height_m: of the plane, null for the scenario's; horizon_deg (0, 90): rays look at least this
+    far towards it; clip: positions are moved into the scenario's bounds."""
 
     height_m: float | None = None
     horizon_deg: float = 1.0
@@ -90,7 +107,9 @@ class _OnPlane:
         """The position (R, T, B, 2) m from each anchor by itself; NaN where it did not measure."""
         height = plane_of(self.height_m, scenario)
         return clipped(
-            on_plane(directions(batch), batch.anchors, height, np.deg2rad(self.horizon_deg)), scenario, self.clip
+            on_plane(directions(batch), batch.anchors, height, np.deg2rad(self.horizon_deg)),
+            scenario,
+            self.clip,
         )
 
 
@@ -106,7 +125,13 @@ class SingleAnchor(_OnPlane):
 
     def check(self, scenario: Any) -> None:
         super().check(scenario)
-        check_number("anchor", self.anchor, least=1, most=scenario.known_anchors.position.shape[1], integer=True)
+        check_number(
+            "anchor",
+            self.anchor,
+            least=1,
+            most=scenario.known_anchors.position.shape[1],
+            integer=True,
+        )
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         xy = self.each(batch, scenario)[:, :, self.anchor - 1]
@@ -115,7 +140,9 @@ class SingleAnchor(_OnPlane):
 
 @dataclass(frozen=True)
 class BestAnchor(_OnPlane):
-    """Fix by fix the single anchor whose position is nearest to the truth: what a perfect selector would reach."""
+    """Fix by fix the single anchor whose position is nearest to the truth: what a perfect selector
+    would reach.
+    """
 
     sees_truth: ClassVar[bool] = True
 
@@ -137,7 +164,9 @@ class RssiAnchor(_OnPlane):
 
 
 def _selected(xy: Array, merit: Array) -> Estimates:
-    """The one of positions (R, T, B, 2) with the largest merit (R, T, B), among those that have both."""
+    """The one of positions (R, T, B, 2) with the largest merit (R, T, B), among those that have
+    both.
+    """
     merit = np.where(np.isfinite(merit) & np.isfinite(xy[..., 0]), merit, -np.inf)
     best = merit.argmax(axis=-1)[..., None, None]
     found: np.ndarray = np.asarray(np.isfinite(merit).any(axis=-1))
@@ -147,10 +176,11 @@ def _selected(xy: Array, merit: Array) -> Estimates:
 
 @dataclass(frozen=True)
 class AnchorMean(_OnPlane):
-    """The mean of the positions from all anchors that measured, or from those numbered in `anchors` (from 1).
+    """The mean of the positions from all anchors that measured, or from those numbered in `anchors`
+    (from 1).
 
-    Each is moved into the bounds first: the variance of where a ray near the horizon meets a plane is infinite. The
-    score is the root mean square distance in m of the positions from their mean.
+    Each is moved into the bounds first: the variance of where a ray near the horizon meets a plane
+    is infinite. The score is the root mean square distance in m of the positions from their mean.
     """
 
     anchors: Sequence[int] | None = None
@@ -158,8 +188,14 @@ class AnchorMean(_OnPlane):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.anchors is not None:
-            if not isinstance(self.anchors, Sequence) or not self.anchors or len(set(self.anchors)) < len(self.anchors):
-                raise BadValue("anchors", self.anchors, "a list of different anchors' numbers, or null for all")
+            if (
+                not isinstance(self.anchors, Sequence)
+                or not self.anchors
+                or len(set(self.anchors)) < len(self.anchors)
+            ):
+                raise BadValue(
+                    "anchors", self.anchors, "a list of different anchors' numbers, or null for all"
+                )
             for number in self.anchors:
                 check_number("anchors", number, least=1, integer=True)
 

@@ -1,4 +1,5 @@
-"""Weighted centroid geometric (WCG) positioning: each access node (AN) gives a position [Lu 2019, (12)-(14)].
+"""Weighted centroid geometric (WCG) positioning: each access node (AN) gives a position [Lu 2019,
+(12)-(14)].
 
 p_m = s_m + c tau_m R_m^T (cos e cos a, cos e sin a, sin e),    p = sum w_m p_m / sum w_m,    w_m = 1 / var(tau_m)
 """
@@ -17,7 +18,9 @@ from aoabench.types import BadValue, Batch, Estimates, Outcome
 
 @dataclass(frozen=True)
 class WeightedCentroid:
-    """`as_printed`: the measured azimuth, which includes the array's orientation, is not freed from it in (12) [U5]."""
+    """`as_printed`: the measured azimuth, which includes the array's orientation, is not freed from
+    it in (12) [U5].
+    """
 
     as_printed: bool = False
     tile: ClassVar[int] = 8
@@ -31,11 +34,15 @@ class WeightedCentroid:
         if batch.delay is None or batch.delay_sigma is None:
             raise BadValue("estimator", "wcg", "a noise that measures times of arrival: ofdm_crlb")
         R, T, B = batch.azimuth.shape
-        usable = np.isfinite(batch.azimuth) & np.isfinite(batch.elevation) & np.isfinite(batch.delay)
+        usable = (
+            np.isfinite(batch.azimuth) & np.isfinite(batch.elevation) & np.isfinite(batch.delay)
+        )
         r, k, b = np.nonzero(usable & (batch.delay_sigma > 0))
         azimuth = batch.azimuth[r, k, b]
         rotation = batch.anchors.rotation[0, b]
-        if self.as_printed:  # the orientation twice: once in the angle, once in what is done with it
+        if (
+            self.as_printed
+        ):  # the orientation twice: once in the angle, once in what is done with it
             azimuth = azimuth + np.arctan2(rotation[:, 0, 1], rotation[:, 0, 0])
         local = LIGHT * batch.delay[r, k, b, None] * to_unit(azimuth, batch.elevation[r, k, b])
         s = batch.anchors.position
@@ -46,5 +53,7 @@ class WeightedCentroid:
         sums = np.stack([np.bincount(fix, w * p[:, i], R * T) for i in range(3)], axis=-1)
         with np.errstate(invalid="ignore"):
             position = (sums / total[:, None]).reshape(R, T, 3)
-        outcome = np.where(np.isfinite(position).all(-1), Outcome.OK, Outcome.FAILED).astype(np.int8)
+        outcome = np.where(np.isfinite(position).all(-1), Outcome.OK, Outcome.FAILED).astype(
+            np.int8
+        )
         return Estimates(position, None, None, outcome)

@@ -1,4 +1,5 @@
-"""The discrepancy filter (DF): a vote among the anchors' ellipses, then fusion of those that agree [Boquet 2024, 5].
+"""The discrepancy filter (DF): a vote among the anchors' ellipses, then fusion of those that agree
+[Boquet 2024, 5].
 
 S1  Each anchor's ray, and its azimuth and elevation moved by one deviation sigma = R_sigma sigma-hat, meet the plane of
     the node's known height; the points there make an ellipse E_i with centre mu_i and Sigma_i       (12)-(17)
@@ -37,14 +38,16 @@ EVEN = 1e-9  # ratios (19) that differ by less are the same
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """r_sigma times azimuth_sigma_deg and elevation_sigma_deg are the deviations that shape the ellipses.
+    """r_sigma times azimuth_sigma_deg and elevation_sigma_deg are the deviations that shape the
+    ellipses.
 
-    centre: of an ellipse, the `midpoint` (12) of the projections of elevation +- sigma, or the projected `estimate`;
-    minimum_axis_m: lower limit of both half-axes; horizon_deg (0, 89]: rays look at least this far towards the plane;
-    intersection: what must have a common point, the ellipses' bounding `boxes` or the ellipses (`exact`); ties: among
-    several largest sets the one of the largest ratio (19) of `area`s, or the `first` in the order of anchor numbers;
-    vote: false leaves S2 out; clip: positions are moved into the scenario's bounds; height_m: of the plane, null for
-    the scenario's.
+    centre: of an ellipse, the `midpoint` (12) of the projections of elevation +- sigma, or the
+    projected `estimate`; minimum_axis_m: lower limit of both half-axes; horizon_deg (0, 89]: rays
+    look at least this far towards the plane; intersection: what must have a common point, the
+    ellipses' bounding `boxes` or the ellipses (`exact`); ties: among several largest sets the one
+    of the largest ratio (19) of `area`s, or the `first` in the order of anchor numbers; vote: false
+    leaves S2 out; clip: positions are moved into the scenario's bounds; height_m: of the plane,
+    null for the scenario's.
     """
 
     r_sigma: float = 1.0
@@ -78,11 +81,15 @@ class Discrepancy:
         kernels.check_engine(self.engine)
 
     def check(self, scenario: Any) -> None:
-        """Raise BadValue where the scenario leaves the plane open or has more anchors than the vote can count."""
+        """Raise BadValue where the scenario leaves the plane open or has more anchors than the vote
+        can count.
+        """
         plane_of(self.height_m, scenario)
         B = scenario.known_anchors.position.shape[1]
         if self.vote and B > MOST:
-            raise BadValue("vote", True, f"false: the scenario has {B} anchors, and at most {MOST} can vote")
+            raise BadValue(
+                "vote", True, f"false: the scenario has {B} anchors, and at most {MOST} can vote"
+            )
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
@@ -90,12 +97,19 @@ class Discrepancy:
             kernels.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
-        """One position per fix; `rejected` where fewer than two ellipses agree, `failed` where no anchor measured."""
+        """One position per fix; `rejected` where fewer than two ellipses agree, `failed` where no
+        anchor measured.
+        """
         self.check(scenario)
         height = plane_of(self.height_m, scenario)
         compiled = kernels.load(KERNELS) if self.engine == "auto" else None
         R, T, _ = batch.azimuth.shape
-        found = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T), dtype=np.int8), np.empty((R, T))
+        found = (
+            np.empty((R, T, 3)),
+            np.empty((R, T, 3, 3)),
+            np.empty((R, T), dtype=np.int8),
+            np.empty((R, T)),
+        )
         for i in range(R):
             given = batch.azimuth[i], batch.elevation[i], batch.anchors.of(i), height
             into = tuple(a[i] for a in found)
@@ -141,17 +155,31 @@ class Discrepancy:
         angles = np.ascontiguousarray(azimuth), np.ascontiguousarray(elevation)
         s, R = np.ascontiguousarray(anchors.position[0]), np.ascontiguousarray(anchors.rotation[0])
         compiled.discrepancy(
-            centre, vote, TIES.index(self.ties), self.slope, sines, self.least_axis, *angles, s, R, height, *found
+            centre,
+            vote,
+            TIES.index(self.ties),
+            self.slope,
+            sines,
+            self.least_axis,
+            *angles,
+            s,
+            R,
+            height,
+            *found,
         )
 
     def fixes(
         self, azimuth: Array, elevation: Array, anchors: Anchors, height: float,
         position: Array, covariance: Array, outcome: np.ndarray, used: Array,
     ) -> None:  # fmt: skip
-        """Position (N, 3), covariance (N, 3, 3), outcome and number of anchors used (N,) from angles (N, B)."""
+        """Position (N, 3), covariance (N, 3, 3), outcome and number of anchors used (N,) from
+        angles (N, B).
+        """
         position[:], covariance[:], outcome[:], used[:] = np.nan, np.nan, Outcome.FAILED, 0
         missing = ~(np.isfinite(azimuth) & np.isfinite(elevation))
-        m, L = self.ellipses_of(np.where(missing, np.nan, azimuth), np.where(missing, 0, elevation), anchors, height)
+        m, L = self.ellipses_of(
+            np.where(missing, np.nan, azimuth), np.where(missing, 0, elevation), anchors, height
+        )
         for k in range(len(m)):
             known = np.flatnonzero(~missing[k])
             if len(known):
@@ -160,23 +188,35 @@ class Discrepancy:
                 if len(chosen):
                     position[k, :2], covariance[k, :2, :2] = fused(m[k, chosen], L[k, chosen])
 
-    def ellipses_of(self, azimuth: Array, elevation: Array, anchors: Anchors, height: float) -> tuple[Array, Array]:
-        """S1: centres (N, B, 2) m and L = R S (N, B, 2, 2) of the ellipses, from angles (N, B) of anchors (1, B, ...).
+    def ellipses_of(
+        self, azimuth: Array, elevation: Array, anchors: Anchors, height: float
+    ) -> tuple[Array, Array]:
+        """S1: centres (N, B, 2) m and L = R S (N, B, 2, 2) of the ellipses, from angles (N, B) of
+        anchors (1, B, ...).
 
-        For an upright anchor the half-axis a (13) is radial, as (15) has it: a lies along p_phi+ - p_phi-, which is
-        the same line, and still one at the nadir, where the ellipse's centre is the anchor's foot.
+        For an upright anchor the half-axis a (13) is radial, as (15) has it: a lies along p_phi+ -
+        p_phi-, which is the same line, and still one at the nadir, where the ellipse's centre is
+        the anchor's foot.
         """
         s, R = anchors.position[0], anchors.rotation[0]
         to_plane = height - s[:, 2]
         sa, se = self.deviations
 
-        def seen(p: Array) -> tuple[Array, Array]:  # f^-1: azimuth and elevation of points (N, B, 2)
-            v = np.concatenate([p - s[:, :2], np.broadcast_to(to_plane[:, None], (*p.shape[:2], 1))], axis=-1)
+        def seen(
+            p: Array,
+        ) -> tuple[Array, Array]:  # f^-1: azimuth and elevation of points (N, B, 2)
+            v = np.concatenate(
+                [p - s[:, :2], np.broadcast_to(to_plane[:, None], (*p.shape[:2], 1))], axis=-1
+            )
             x, y, z = np.moveaxis((R @ v[..., None])[..., 0], -1, 0)
             return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
 
-        def f(azimuth: Array, elevation: Array) -> tuple[Array, np.ndarray]:  # and whether the ray had to be turned
-            x, y, z = np.moveaxis((np.swapaxes(R, -1, -2) @ to_unit(azimuth, elevation)[..., None])[..., 0], -1, 0)
+        def f(
+            azimuth: Array, elevation: Array
+        ) -> tuple[Array, np.ndarray]:  # and whether the ray had to be turned
+            x, y, z = np.moveaxis(
+                (np.swapaxes(R, -1, -2) @ to_unit(azimuth, elevation)[..., None])[..., 0], -1, 0
+            )
             flat, towards = np.hypot(x, y), z * np.sign(to_plane)
             low = towards < flat * self.slope
             reach = np.abs(to_plane) / np.maximum(np.maximum(towards, flat * self.slope), 1e-300)
@@ -190,21 +230,28 @@ class Discrepancy:
         m = f(azimuth, elevation)[0] if self.centre == "estimate" else (plus + minus) / 2  # (12)
         theta, phi = seen(m)
         b = np.linalg.norm(f(theta + sa, phi)[0] - f(theta - sa, phi)[0], axis=-1) / 2  # (14)
-        along = np.where((a > 0)[..., None], (plus - minus) / np.where(a > 0, 2 * a, 1.0)[..., None], (1.0, 0.0))
+        along = np.where(
+            (a > 0)[..., None], (plus - minus) / np.where(a > 0, 2 * a, 1.0)[..., None], (1.0, 0.0)
+        )
         a, b = (np.maximum(axis, self.least_axis) for axis in (a, b))
         across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
         return m, np.stack([a[..., None] * along, b[..., None] * across], axis=-1)  # (16), (17)
 
     def selected(self, m: Array, L: Array) -> np.ndarray:
-        """S2: which of ellipses m (B, 2), L (B, 2, 2) take part, in rising order; none where no two agree."""
+        """S2: which of ellipses m (B, 2), L (B, 2, 2) take part, in rising order; none where no two
+        agree.
+        """
         if not self.vote:
             return np.arange(len(m))
         if self.intersection == "boxes":
             half = ellipses.half_widths(L)
             lower, upper = m - half, m + half
-            corners = np.stack(np.meshgrid(*lower.T), axis=-1).reshape(-1, 1, 2)  # a common box has such a corner
+            corners = np.stack(np.meshgrid(*lower.T), axis=-1).reshape(
+                -1, 1, 2
+            )  # a common box has such a corner
             sets = largest(np.all((lower <= corners) & (corners <= upper), axis=-1))
-        else:  # a common region has crossings as vertices, or it is a whole ellipse and has its centre
+        # a common region has crossings as vertices, or it is a whole ellipse and has its centre
+        else:
             inside = [ellipses.levels(m, m, L) <= 1 + ellipses.TOUCH]
             for pair, p in ellipses.all_crossings(m, L).items():
                 inside.append(ellipses.levels(p, m, L) <= 1 + ellipses.TOUCH)
@@ -215,20 +262,26 @@ class Discrepancy:
         best, chosen = -1.0, sets[0]
         for M in sets if len(sets) > 1 and self.ties == "area" else []:
             boxes = self.intersection == "boxes"
-            common, union = ellipses.box_areas(lower[M], upper[M]) if boxes else ellipses.areas(m[M], L[M])
+            common, union = (
+                ellipses.box_areas(lower[M], upper[M]) if boxes else ellipses.areas(m[M], L[M])
+            )
             if common / union > best + EVEN:  # (19)
                 best, chosen = common / union, M
         return chosen
 
 
 def largest(inside: np.ndarray) -> list[np.ndarray]:
-    """The largest sets (18) of anchors, in the order of anchor numbers, from which ellipses (K, B) hold each point."""
+    """The largest sets (18) of anchors, in the order of anchor numbers, from which ellipses (K, B)
+    hold each point.
+    """
     count = inside.sum(axis=1)
     return [np.flatnonzero(M) for M in np.unique(inside[count == count.max()], axis=0)[::-1]]
 
 
 def fused(m: Array, L: Array) -> tuple[Array, Array]:
-    """S3: mean (2,) and covariance (2, 2) of the product of normals m (B, 2), Sigma = L L^T (B, 2, 2)  (20), (21)."""
+    """S3: mean (2,) and covariance (2, 2) of the product of normals m (B, 2), Sigma = L L^T (B, 2,
+    2)  (20), (21).
+    """
     information = np.linalg.inv(L @ np.swapaxes(L, -1, -2))
     covariance = np.linalg.inv(information.sum(axis=0))
     return m[0] + covariance @ (information @ (m - m[0])[..., None]).sum(axis=0)[:, 0], covariance

@@ -1,9 +1,10 @@
-"""Kernels of the discrepancy filter: ellipses of a block of fixes at once, then each fix's vote and fusion.
+"""Kernels of the discrepancy filter: ellipses of a block of fixes at once, then each fix's vote and
+fusion.
 
-The arithmetic of `discrepancy.py` and `ellipses.py`. S1 runs over blocks of `BLOCK` fixes, padded with NaN, without
-calls or branches, so that the compiler vectorises it; no fix sees another one. A set of anchors is an integer whose
-most significant bit is the first anchor that measured: among sets of one size, the larger integer comes first in the
-order of anchor numbers.
+The arithmetic of `discrepancy.py` and `ellipses.py`. S1 runs over blocks of `BLOCK` fixes, padded
+with NaN, without calls or branches, so that the compiler vectorises it; no fix sees another one. A
+set of anchors is an integer whose most significant bit is the first anchor that measured: among
+sets of one size, the larger integer comes first in the order of anchor numbers.
 
 Kernels may use nothing but this file: the cache on disk sees only its own.
 """
@@ -23,7 +24,9 @@ MIDPOINT, ESTIMATE = range(2)  # what an ellipse is centred on
 BOXES, EXACT, NO_VOTE = range(3)  # what must have a common point
 AREA, FIRST = range(2)  # among several largest sets
 OK, REJECTED, FAILED = 0, 1, 4  # outcomes, as in aoabench.types
-MX, MY, UX, UY, A, B, HX, HY = range(8)  # an ellipse: centre, direction of a, half-axes a and b, half sides of its box
+MX, MY, UX, UY, A, B, HX, HY = range(
+    8
+)  # an ellipse: centre, direction of a, half-axes a and b, half sides of its box
 UNKNOWN, SAME = -2, -1  # instead of a number of crossings
 
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
@@ -33,7 +36,9 @@ CLOSE, TINY = 1e-7, 1e-140
 
 
 def kernel(signature: Any) -> Callable[[Callable], Callable]:
-    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be written."""
+    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be
+    written.
+    """
 
     def compile_(function: Callable) -> Callable:
         try:
@@ -47,11 +52,21 @@ def kernel(signature: Any) -> Callable[[Callable], Callable]:
 inlined = njit(forceinline=True, **OPTIONS)
 called = njit(**OPTIONS)
 
-# ------------------------------------------------------------------------- sines, to the last bits of double precision
+# ------------------------------------------------------------------------- sines, to the last bits
 
-_S1, _S2, _S3, _S4 = -0.166666666666666666, 0.00833333333333332026, -0.000198412698412530222, 2.75573192133478667e-6
+_S1, _S2, _S3, _S4 = (
+    -0.166666666666666666,
+    0.00833333333333332026,
+    -0.000198412698412530222,
+    2.75573192133478667e-6,
+)
 _S5, _S6, _S7 = -2.50521047273601406e-8, 1.60583462371199003e-10, -7.57779904448778001e-13
-_C1, _C2, _C3, _C4 = -0.499999999999999993, 0.0416666666666664288, -0.00138888888888588082, 0.0000248015872828235969
+_C1, _C2, _C3, _C4 = (
+    -0.499999999999999993,
+    0.0416666666666664288,
+    -0.00138888888888588082,
+    0.0000248015872828235969,
+)
 _C5, _C6, _C7 = -2.75573128463784456e-7, 2.08755527170372636e-9, -1.13520037105950103e-11
 _REST = 6.123233995736766e-17  # pi / 2 = HALF_PI + _REST
 
@@ -71,12 +86,14 @@ def sine_cosine(x):
     return -a if quarter >= 2.0 else a, -b if (quarter == 1.0) | (quarter == 2.0) else b
 
 
-# ---------------------------------------------------------------------------------------------- S1: ellipses, (12)-(17)
+# ---------------------------------------------------------------------------------------------- S1:
 
 
 @inlined
 def on_plane(x, y, z, R, h, side, least):
-    """f of (12) and (14): where the ray (x, y, z) of the anchor's frame meets the plane, from the anchor's foot on."""
+    """f of (12) and (14): where the ray (x, y, z) of the anchor's frame meets the plane, from the
+    anchor's foot on.
+    """
     u = R[0, 0] * x + R[1, 0] * y + R[2, 0] * z
     v = R[0, 1] * x + R[1, 1] * y + R[2, 1] * z
     w = R[0, 2] * x + R[1, 2] * y + R[2, 2] * z
@@ -86,10 +103,11 @@ def on_plane(x, y, z, R, h, side, least):
 
 @inlined
 def project(centre, azimuth, elevation, s, R, to_plane, least, sines, minimum, e):
-    """Ellipses e (8, BLOCK) from angles (BLOCK,) of one anchor: s (3,) m, R (3, 3), to_plane m its height over it.
+    """Ellipses e (8, BLOCK) from angles (BLOCK,) of one anchor: s (3,) m, R (3, 3), to_plane m its
+    height over it.
 
-    centre: MIDPOINT or ESTIMATE; least: tangent of the smallest angle between ray and plane; sines: sin, cos of the
-    azimuth's deviation, then of the elevation's.
+    centre: MIDPOINT or ESTIMATE; least: tangent of the smallest angle between ray and plane; sines:
+    sin, cos of the azimuth's deviation, then of the elevation's.
     """
     h, side = abs(to_plane), math.copysign(1.0, to_plane)
     sa, ca, se, ce = sines[0], sines[1], sines[2], sines[3]
@@ -110,10 +128,17 @@ def project(centre, azimuth, elevation, s, R, to_plane, least, sines, minimum, e
         over = 1.0 / (lr + TINY)
         x, y, z, r = lx if low else x, ly if low else y, lz if low else z, lr if low else r
         ct, st = lx * over if low else ct, ly * over if low else st
-        fx, fy = on_plane(ce * x - se * z * ct, ce * y - se * z * st, ce * z + se * r, R, h, side, least)
-        nx, ny = on_plane(ce * x + se * z * ct, ce * y + se * z * st, ce * z - se * r, R, h, side, least)
+        fx, fy = on_plane(
+            ce * x - se * z * ct, ce * y - se * z * st, ce * z + se * r, R, h, side, least
+        )
+        nx, ny = on_plane(
+            ce * x + se * z * ct, ce * y + se * z * st, ce * z - se * r, R, h, side, least
+        )
         px, py = on_plane(x, y, z, R, h, side, least)
-        mx, my = px if centre == ESTIMATE else 0.5 * (fx + nx), py if centre == ESTIMATE else 0.5 * (fy + ny)
+        mx, my = (
+            px if centre == ESTIMATE else 0.5 * (fx + nx),
+            py if centre == ESTIMATE else 0.5 * (fy + ny),
+        )
         dx, dy = fx - nx, fy - ny
         length = math.sqrt(dx * dx + dy * dy)
         over = 1.0 / (length + TINY)
@@ -131,7 +156,7 @@ def project(centre, azimuth, elevation, s, R, to_plane, least, sines, minimum, e
         e[HY, k] = math.sqrt(a * a * uy * uy + b * b * ux * ux)
 
 
-# ----------------------------------------------------------------------------------------- S2: the vote, (18) and (19)
+# ----------------------------------------------------------------------------------------- S2: the
 
 
 @inlined
@@ -150,7 +175,9 @@ def has(M, i, n):
 
 @inlined
 def insert(M, sets, found):
-    """How many different sets there are, falling, after M has joined them; a larger one ousts all, a smaller none."""
+    """How many different sets there are, falling, after M has joined them; a larger one ousts all,
+    a smaller none.
+    """
     size = count(M)
     if size < 2 or (found > 0 and size < count(sets[0])):
         return found
@@ -169,7 +196,8 @@ def insert(M, sets, found):
 
 @inlined
 def common_boxes(n, e, masks, sets):
-    """The largest sets of boxes of ellipses e (8, n) with a common point, in `sets`, and how many there are.
+    """The largest sets of boxes of ellipses e (8, n) with a common point, in `sets`, and how many
+    there are.
 
     A common box has its lower left corner at the left side of one and the lower side of one.
     """
@@ -192,7 +220,9 @@ def common_boxes(n, e, masks, sets):
 
 @called
 def box_ratio(M, n, e, order, x):
-    """(19) of the boxes in the set M: their union slab by slab, between neighbouring left or right sides."""
+    """(19) of the boxes in the set M: their union slab by slab, between neighbouring left or right
+    sides.
+    """
     m = 0
     left = low = -np.inf
     right = top = np.inf
@@ -248,7 +278,9 @@ def level(x, y, i, e):
 
 @inlined
 def outer_extremum(near, far, gap):
-    """The root delta > 0 of near^2 / delta^2 + far^2 / (delta + gap)^2 = 1, by Newton from below on 1 / sqrt."""
+    """The root delta > 0 of near^2 / delta^2 + far^2 / (delta + gap)^2 = 1, by Newton from below on
+    1 / sqrt.
+    """
     delta = max(near, far - gap)
     for _ in range(50):
         a, b = 1.0 / delta, 1.0 / (delta + gap)
@@ -263,7 +295,9 @@ def outer_extremum(near, far, gap):
 
 @inlined
 def inner_extremum(near, far, gap):
-    """The smaller root delta < gap of near^2 / delta^2 + far^2 / (gap - delta)^2 = 1; -1 where there is none."""
+    """The smaller root delta < gap of near^2 / delta^2 + far^2 / (gap - delta)^2 = 1; -1 where
+    there is none.
+    """
     delta = near
     for _ in range(50):
         a, b = 1.0 / delta, 1.0 / (gap - delta)
@@ -295,7 +329,9 @@ def excess_at(c, s, q):
 
 @called
 def crossing(low, high, rising, q):
-    """The angle between `low` and `high`, where the level passes 1: Newton, kept in the bracket by bisection."""
+    """The angle between `low` and `high`, where the level passes 1: Newton, kept in the bracket by
+    bisection.
+    """
     t = 0.5 * (low + high)
     for _ in range(80):
         s, c = sine_cosine(t)
@@ -315,11 +351,13 @@ def crossing(low, high, rising, q):
 
 @called
 def crossings(i, j, e, px, py):
-    """Points px, py (4,) where the boundaries of two ellipses cross or touch from outside; their number, or SAME.
+    """Points px, py (4,) where the boundaries of two ellipses cross or touch from outside; their
+    number, or SAME.
 
-    In the frame where the first is the unit circle, turned to the axes of the second's form, the level's extrema on the
-    circle solve a secular equation: the least in the first quadrant, the greatest in the third, and maybe one more of
-    each in the fourth, nearer to the first axis the maximum. Between neighbours a change of sign brackets one crossing.
+    In the frame where the first is the unit circle, turned to the axes of the second's form, the
+    level's extrema on the circle solve a secular equation: the least in the first quadrant, the
+    greatest in the third, and maybe one more of each in the fourth, nearer to the first axis the
+    maximum. Between neighbours a change of sign brackets one crossing.
     """
     u0, v0 = seen_from(e[MX, i], e[MY, i], j, e)
     c, s = e[UX, i] * e[UX, j] + e[UY, i] * e[UY, j], e[UY, i] * e[UX, j] - e[UX, i] * e[UY, j]
@@ -378,7 +416,10 @@ def crossings(i, j, e, px, py):
         y, x = sine_cosine(px[k])
         x, y = x * flip, y * flop
         x, y = e[A, i] * (c * x - s * y), e[B, i] * (s * x + c * y)
-        px[k], py[k] = e[MX, i] + x * e[UX, i] - y * e[UY, i], e[MY, i] + x * e[UY, i] + y * e[UX, i]
+        px[k], py[k] = (
+            e[MX, i] + x * e[UX, i] - y * e[UY, i],
+            e[MY, i] + x * e[UY, i] + y * e[UX, i],
+        )
     return n
 
 
@@ -386,8 +427,9 @@ def crossings(i, j, e, px, py):
 def common_ellipses(n, e, boxes, sets, points, number):
     """The largest sets of ellipses e (8, n) with a common point, in `sets`, and how many there are.
 
-    A common region has crossings as vertices, or it is a whole ellipse and has its centre. Crossings are kept: points
-    (2, V, V, 4), number (V, V). Only ellipses whose boxes meet, boxes (V,), can have any.
+    A common region has crossings as vertices, or it is a whole ellipse and has its centre.
+    Crossings are kept: points (2, V, V, 4), number (V, V). Only ellipses whose boxes meet, boxes
+    (V,), can have any.
     """
     full, found, meet = (1 << n) - 1, 0, (1 << n) - 1
     for i in range(n):
@@ -395,7 +437,9 @@ def common_ellipses(n, e, boxes, sets, points, number):
         for j in range(n):
             x, y = e[HX, i] + e[HX, j], e[HY, i] + e[HY, j]
             dx, dy = abs(e[MX, i] - e[MX, j]), abs(e[MY, i] - e[MY, j])
-            boxes[i] = 2 * boxes[i] + (1 if (dx <= x * (1.0 + TOUCH)) & (dy <= y * (1.0 + TOUCH)) else 0)
+            boxes[i] = 2 * boxes[i] + (
+                1 if (dx <= x * (1.0 + TOUCH)) & (dy <= y * (1.0 + TOUCH)) else 0
+            )
             number[i, j] = UNKNOWN
         meet &= boxes[i]
     if meet == full and n > 1:
@@ -423,10 +467,16 @@ def common_ellipses(n, e, boxes, sets, points, number):
 
 @inlined
 def holders(x, y, first, second, among, n, e):
-    """The set of ellipses in which (x, y) lies, of those in the set `among`; `first` and `second` are known to be."""
+    """The set of ellipses in which (x, y) lies, of those in the set `among`; `first` and `second`
+    are known to be.
+    """
     M = 0
     for l in range(n):
-        M = 2 * M + (1 if has(among, l, n) and (l in (first, second) or level(x, y, l, e) <= 1.0 + TOUCH) else 0)
+        M = 2 * M + (
+            1
+            if has(among, l, n) and (l in (first, second) or level(x, y, l, e) <= 1.0 + TOUCH)
+            else 0
+        )
     return M
 
 
@@ -484,12 +534,14 @@ def on_boundary(t, i, e):
     return e[MX, i] + x * e[UX, i] - y * e[UY, i], e[MY, i] + x * e[UY, i] + y * e[UX, i]
 
 
-# ------------------------------------------------------------------------------------------------ S3: fusion, and all
+# ------------------------------------------------------------------------------------------------ S
 
 
 @inlined
 def fuse(M, n, e):
-    """Mean x, y and covariance xx, xy, yy of the product of the normals in the set M (all n where M is negative)."""
+    """Mean x, y and covariance xx, xy, yy of the product of the normals in the set M (all n where M
+    is negative).
+    """
     x0 = y0 = jxx = jxy = jyy = gx = gy = 0.0
     first = True
     for i in range(n):
@@ -526,17 +578,23 @@ def discrepancy(
     centre, intersection, ties, least, sines, minimum, azimuth, elevation, s, R, height, position, covariance, outcome,
     used,
 ):  # fmt: skip
-    """Position (N, 3), covariance (N, 3, 3), outcome and number of anchors used (N,) of each fix from angles (N, B).
+    """Position (N, 3), covariance (N, 3, 3), outcome and number of anchors used (N,) of each fix
+    from angles (N, B).
 
-    centre: MIDPOINT or ESTIMATE; intersection: BOXES, EXACT or NO_VOTE; ties: AREA or FIRST; least: tangent of the
-    smallest angle between ray and plane; sines (4,): sin, cos of the azimuth's deviation, then of the elevation's;
-    minimum m of the half-axes; s (B, 3) m and R (B, 3, 3) of the anchors; height m of the plane.
+    centre: MIDPOINT or ESTIMATE; intersection: BOXES, EXACT or NO_VOTE; ties: AREA or FIRST; least:
+    tangent of the smallest angle between ray and plane; sines (4,): sin, cos of the azimuth's
+    deviation, then of the elevation's; minimum m of the half-axes; s (B, 3) m and R (B, 3, 3) of
+    the anchors; height m of the plane.
     """
     N, J = azimuth.shape
     V = min(J, MOST)
     block, e = np.empty((J, 8, BLOCK)), np.empty((8, J))
     angles = np.empty((2, BLOCK))
-    masks, sets, order = np.empty((2, V), np.int64), np.empty(2 * V * V + 1, np.int64), np.empty(J, np.int64)
+    masks, sets, order = (
+        np.empty((2, V), np.int64),
+        np.empty(2 * V * V + 1, np.int64),
+        np.empty(J, np.int64),
+    )
     points, number, t = np.empty((2, V, V, 4)), np.empty((V, V), np.int64), np.empty(4 * V + 2)
     for start in range(0, N, BLOCK):
         size = min(BLOCK, N - start)
@@ -544,7 +602,18 @@ def discrepancy(
             for k in range(BLOCK):
                 angles[0, k] = azimuth[start + k, j] if k < size else math.nan
                 angles[1, k] = elevation[start + k, j] if k < size else math.nan
-            project(centre, angles[0], angles[1], s[j], R[j], height - s[j, 2], least, sines, minimum, block[j])
+            project(
+                centre,
+                angles[0],
+                angles[1],
+                s[j],
+                R[j],
+                height - s[j, 2],
+                least,
+                sines,
+                minimum,
+                block[j],
+            )
         for k in range(size):
             n = 0
             for j in range(J):
@@ -577,5 +646,10 @@ def discrepancy(
             else:
                 x, y, xx, xy, yy = fuse(M, n, e)
                 position[i, 0], position[i, 1] = x, y
-                covariance[i, 0, 0], covariance[i, 0, 1], covariance[i, 1, 0], covariance[i, 1, 1] = xx, xy, xy, yy
+                (
+                    covariance[i, 0, 0],
+                    covariance[i, 0, 1],
+                    covariance[i, 1, 0],
+                    covariance[i, 1, 1],
+                ) = xx, xy, xy, yy
                 used[i] = n if M < 0 else count(M)

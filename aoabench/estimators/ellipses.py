@@ -1,4 +1,5 @@
-"""Ellipses and boxes in the plane: common points, crossings, areas; plain and slow, one pair or one set at a time.
+"""Ellipses and boxes in the plane: common points, crossings, areas; plain and slow, one pair or one
+set at a time.
 
 An ellipse is E = {m + L x : |x| <= 1}, centre m (2,) and L (2, 2), so that Sigma = L L^T and
 
@@ -29,12 +30,14 @@ def boundary(t: Array, m: Array, L: Array) -> Array:
 
 
 def crossings(m: Array, L: Array, m2: Array, L2: Array) -> Array:
-    """Points (K, 2), K <= 4, where the boundaries of two ellipses cross, or the one where they touch from outside.
+    """Points (K, 2), K <= 4, where the boundaries of two ellipses cross, or the one where they
+    touch from outside.
 
-    Along the first one, the level of the second is a trigonometric polynomial of degree 2 in t. Its derivative is, but
-    for a factor, a self-reciprocal quartic in exp(i t), whose roots on the unit circle are the extrema: between
-    neighbours the level is monotone, and a change of sign brackets one crossing. Roots off the circle, and the grid,
-    only add brackets. Where one ellipse touches the other from inside, and where both are the same, there are none.
+    Along the first one, the level of the second is a trigonometric polynomial of degree 2 in t. Its
+    derivative is, but for a factor, a self-reciprocal quartic in exp(i t), whose roots on the unit
+    circle are the extrema: between neighbours the level is monotone, and a change of sign brackets
+    one crossing. Roots off the circle, and the grid, only add brackets. Where one ellipse touches
+    the other from inside, and where both are the same, there are none.
     """
     u0, U = np.linalg.solve(L2, m - m2), np.linalg.solve(L2, L)
     (ux, uy), ((uxc, uxs), (uyc, uys)) = u0.tolist(), U.tolist()
@@ -44,7 +47,10 @@ def crossings(m: Array, L: Array, m2: Array, L2: Array) -> Array:
         return (ux + uxc * c + uxs * s) ** 2 + (uy + uyc * c + uys * s) ** 2 - 1.0
 
     M, b = U.T @ U, U.T @ u0
-    c1, c2 = b[0] - 1j * b[1], (M[0, 0] - M[1, 1]) / 4 - 1j * M[0, 1] / 2  # of exp(i t) and exp(2 i t)
+    c1, c2 = (
+        b[0] - 1j * b[1],
+        (M[0, 0] - M[1, 1]) / 4 - 1j * M[0, 1] / 2,
+    )  # of exp(i t) and exp(2 i t)
     extrema = np.angle(np.roots([2 * c2, c1, 0, -np.conj(c1), -2 * np.conj(c2)]))
     t = sorted([*GRID.tolist(), *extrema.tolist()])
     g = [excess(x) for x in t]
@@ -77,11 +83,13 @@ def same(m: Array, L: Array, m2: Array, L2: Array) -> bool:
 
 
 def areas(m: Array, L: Array) -> tuple[float, float]:
-    """Areas of the intersection and of the union of ellipses m (B, 2), L (B, 2, 2), by Green's theorem.
+    """Areas of the intersection and of the union of ellipses m (B, 2), L (B, 2, 2), by Green's
+    theorem.
 
-    Their boundaries consist of arcs between crossings: those inside, or outside, all other ellipses. The integral
-    (x dy - y dx) / 2 over an arc from t1 to t2 is (det L (t2 - t1) + m x (p2 - p1)) / 2. What is outside all others
-    bounds a union with its holes. Of ellipses that are the same one is left.
+    Their boundaries consist of arcs between crossings: those inside, or outside, all other
+    ellipses. The integral (x dy - y dx) / 2 over an arc from t1 to t2 is (det L (t2 - t1) + m x (p2
+    - p1)) / 2. What is outside all others bounds a union with its holes. Of ellipses that are the
+    same one is left.
     """
     keep = [i for i in range(len(m)) if not any(same(m[i], L[i], m[j], L[j]) for j in range(i))]
     m, L = m[keep] - m[keep].mean(axis=0), L[keep]
@@ -103,12 +111,16 @@ def areas(m: Array, L: Array) -> tuple[float, float]:
 
 
 def half_widths(L: Array) -> Array:
-    """Half sides (..., 2) of the bounding boxes of ellipses L (..., 2, 2): the roots of Sigma's diagonal."""
+    """Half sides (..., 2) of the bounding boxes of ellipses L (..., 2, 2): the roots of Sigma's
+    diagonal.
+    """
     return np.sqrt((L**2).sum(-1))
 
 
 def box_areas(lower: Array, upper: Array) -> tuple[float, float]:
-    """Areas of the intersection and of the union of boxes with corners (B, 2), on the grid of all their sides."""
+    """Areas of the intersection and of the union of boxes with corners (B, 2), on the grid of all
+    their sides.
+    """
     common = np.prod(np.maximum(upper.min(axis=0) - lower.max(axis=0), 0.0))
     x, y = (np.unique([lower[:, k], upper[:, k]]) for k in range(2))
     covered = [

@@ -1,11 +1,13 @@
-"""Closed-form least squares on azimuth and elevation: each measurement is a plane through its anchor.
+"""Closed-form least squares on azimuth and elevation: each measurement is a plane through its
+anchor.
 
 In the anchor's frame, p = R_j (x - s_j), azimuth phi and elevation theta give [Le 2021, (10)-(19)]
 
     (sin phi, -cos phi, 0) p = 0,        (tan theta, 0, -cos phi) p = 0          (the rows as printed)
                                  or  (sin theta cos phi, sin theta sin phi, -cos theta) p = 0       (invariant)
 
-and x = (A^T A)^-1 A^T b. The printed second row divides by x - x_j, so that renaming x and y changes the estimate (L6).
+and x = (A^T A)^-1 A^T b. The printed second row divides by x - x_j, so that renaming x and y
+changes the estimate (L6).
 """
 
 from __future__ import annotations
@@ -54,7 +56,9 @@ class LeastSquares:
             position = planes(batch, self.rows)
         else:
             position, _, _ = by_kernel(compiled, batch, self.rows)
-        outcome = np.where(np.isfinite(position).all(-1), Outcome.OK, Outcome.FAILED).astype(np.int8)
+        outcome = np.where(np.isfinite(position).all(-1), Outcome.OK, Outcome.FAILED).astype(
+            np.int8
+        )
         return Estimates(position, None, None, outcome)
 
 
@@ -67,7 +71,9 @@ def by_kernel(
     tolerance: float = 0.0,
     updates: int = 0,
 ) -> tuple[Array, np.ndarray, np.ndarray]:
-    """Positions (R, T, 3) m, outcomes and numbers of updates (R, T); least squares alone where `updates` is 0."""
+    """Positions (R, T, 3) m, outcomes and numbers of updates (R, T); least squares alone where
+    `updates` is 0.
+    """
     R, T, B = batch.azimuth.shape
     x, outcome, count = np.empty((R, T, 3)), np.empty((R, T), dtype=np.int8), np.empty((R, T))
     phi, theta, wa, we = (padded(a, compiled.LANES) for a in measured(batch))
@@ -75,9 +81,13 @@ def by_kernel(
     for i in range(R):
         anchors = batch.anchors.of(i)
         centre = anchors.position[0].mean(axis=0)
-        s = padded((anchors.position[0] - centre).T, compiled.LANES, "edge")  # no anchor of zeros, whose angles are NaN
+        s = padded(
+            (anchors.position[0] - centre).T, compiled.LANES, "edge"
+        )  # no anchor of zeros, whose angles are NaN
         rotation = padded(np.moveaxis(anchors.rotation[0], 0, -1), compiled.LANES, "edge")
-        compiled.gauss_newton(*options, phi[i], theta[i], wa[i], we[i], s, rotation, x[i], outcome[i], count[i])
+        compiled.gauss_newton(
+            *options, phi[i], theta[i], wa[i], we[i], s, rotation, x[i], outcome[i], count[i]
+        )
         x[i] += centre
     return x, outcome, count
 
@@ -86,7 +96,10 @@ def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
     """Azimuths, elevations (R, T, B) rad and 1 / variance of each; 0 and 0 where not measured."""
     angles = []
     weights = []
-    for y, sigma in ((batch.azimuth, batch.azimuth_sigma), (batch.elevation, batch.elevation_sigma)):
+    for y, sigma in (
+        (batch.azimuth, batch.azimuth_sigma),
+        (batch.elevation, batch.elevation_sigma),
+    ):
         w = np.ones_like(y) if sigma is None else 1.0 / np.square(sigma)
         known = np.isfinite(y) & np.isfinite(w) & (w > 0)
         angles.append(np.where(known, y, 0.0))
@@ -95,16 +108,20 @@ def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
 
 
 def padded(a: Array, lanes: int, by: Literal["constant", "edge"] = "constant") -> Array:
-    """The array with its last axis filled up to a multiple of `lanes`, by zeros or by repeating its last element."""
+    """The array with its last axis filled up to a multiple of `lanes`, by zeros or by repeating its
+    last element.
+    """
     missing = -a.shape[-1] % lanes
-    return np.ascontiguousarray(np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, missing)], by) if missing else a)
+    return np.ascontiguousarray(
+        np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, missing)], by) if missing else a
+    )
 
 
 def planes(batch: Batch, rows: str = "printed") -> Array:
     """Least-squares positions (R, T, 3) m; what is not measured gives no row.
 
-    NaN where A^T A is singular, and where all anchors that measured stand in one place: planes through it meet there,
-    whatever was measured.
+    NaN where A^T A is singular, and where all anchors that measured stand in one place: planes
+    through it meet there, whatever was measured.
     """
     phi, theta = batch.azimuth, batch.elevation
     zero = np.zeros_like(phi)

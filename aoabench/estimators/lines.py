@@ -1,11 +1,14 @@
-"""The point nearest to all measured lines, in the least-squares sense, with and without discarding anchors.
+"""The point nearest to all measured lines, in the least-squares sense, with and without discarding
+anchors.
 
-A line through the anchor s along the unit vector u is at the distance |(I - u u^T)(p - s)| from p, so that
+A line through the anchor s along the unit vector u is at the distance |(I - u u^T)(p - s)| from p,
+so that
 
     p = (sum_i (I - u_i u_i^T))^-1 sum_i (I - u_i u_i^T) s_i            [Boquet 2024, 2.2.2, the solution M_LS]
 
-An azimuth alone is a plane with normal n = (-sin phi, cos phi, 0) in the anchor's frame: n n^T takes the place of
-I - u u^T, and with nothing but planes through the vertical the problem is that of bearing lines in two dimensions.
+An azimuth alone is a plane with normal n = (-sin phi, cos phi, 0) in the anchor's frame: n n^T
+takes the place of I - u u^T, and with nothing but planes through the vertical the problem is that
+of bearing lines in two dimensions.
 """
 
 from __future__ import annotations
@@ -23,7 +26,9 @@ from aoabench.types import Batch, Estimates, Outcome, check_number
 
 
 def projectors(batch: Batch) -> tuple[Array, np.ndarray]:
-    """I - u u^T, or n n^T for an azimuth alone, (R, T, B, 3, 3), else 0; and where something is measured."""
+    """I - u u^T, or n n^T for an azimuth alone, (R, T, B, 3, 3), else 0; and where something is
+    measured.
+    """
     u = directions(batch)
     whole: np.ndarray = np.asarray(np.isfinite(u).all(axis=-1))
     phi = np.where(np.isfinite(batch.azimuth), batch.azimuth, 0.0)
@@ -32,11 +37,14 @@ def projectors(batch: Batch) -> tuple[Array, np.ndarray]:
     u = np.where(whole[..., None], u, 0.0)
     line, plane = np.eye(3) - u[..., :, None] * u[..., None, :], n[..., :, None] * n[..., None, :]
     measured = np.isfinite(batch.azimuth)
-    return np.where(measured[..., None, None], np.where(whole[..., None, None], line, plane), 0.0), measured
+    return np.where(
+        measured[..., None, None], np.where(whole[..., None, None], line, plane), 0.0
+    ), measured
 
 
 def nearest_point(P: Array, s: Array) -> Array:
-    """The point (R, T, 3) m nearest to lines or planes with projectors P (R, T, B, 3, 3) through s (R|1, 1, B, 3) m.
+    """The point (R, T, 3) m nearest to lines or planes with projectors P (R, T, B, 3, 3) through s
+    (R|1, 1, B, 3) m.
 
     NaN where they do not determine it; z alone is NaN where they say nothing of it.
     """
@@ -56,7 +64,8 @@ def distances(P: Array, s: Array, p: Array) -> Array:
 
 @dataclass(frozen=True)
 class LineLeastSquares:
-    """The nearest point to all lines; `clip`: x and y are moved into the scenario's bounds, if it has any.
+    """The nearest point to all lines; `clip`: x and y are moved into the scenario's bounds, if it
+    has any.
 
     The score is the root mean square distance in m from the lines.
     """
@@ -68,15 +77,17 @@ class LineLeastSquares:
         """`failed` where fewer than two anchors measured or all lines are parallel."""
         P, measured = projectors(batch)
         p = nearest_point(P, batch.anchors.position[:, None])
-        return _estimates(p, distances(P, batch.anchors.position[:, None], p), measured, scenario, self.clip)
+        return _estimates(
+            p, distances(P, batch.anchors.position[:, None], p), measured, scenario, self.clip
+        )
 
 
 @dataclass(frozen=True)
 class AnchorDiscarding:
     """Least squares that discards, one by one, the anchor whose line is furthest from the point.
 
-    It stops when the root mean square distance is at most `threshold_m` or two anchors are left. The paper names its
-    M_IAD without equations: this is a reconstruction.
+    It stops when the root mean square distance is at most `threshold_m` or two anchors are left.
+    The paper names its M_IAD without equations: this is a reconstruction.
     """
 
     threshold_m: float = 0.3
@@ -107,8 +118,15 @@ def _estimates(p: Array, d: Array, used: np.ndarray, scenario: Any, clip: bool) 
     found = np.isfinite(p[..., :2]).all(axis=-1)
     n = used.sum(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        score = np.where(found & (n > 1), np.sqrt(np.where(used, d**2, 0.0).sum(axis=-1) / n), np.nan)
+        score = np.where(
+            found & (n > 1), np.sqrt(np.where(used, d**2, 0.0).sum(axis=-1) / n), np.nan
+        )
     position = np.concatenate([clipped(p[..., :2], scenario, clip), p[..., 2:]], axis=-1)
     return Estimates(
-        position, None, None, np.where(found, Outcome.OK, Outcome.FAILED).astype(np.int8), score, n.astype(float)
+        position,
+        None,
+        None,
+        np.where(found, Outcome.OK, Outcome.FAILED).astype(np.int8),
+        score,
+        n.astype(float),
     )

@@ -1,16 +1,18 @@
-"""Maximum likelihood of normal azimuths and elevations by Gauss-Newton, one fix at a time [Le 2021, (20)-(29), Alg. 1].
+"""Maximum likelihood of normal azimuths and elevations by Gauss-Newton, one fix at a time [Le 2021,
+(20)-(29), Alg. 1].
 
     x <- x + (G^T C^-1 G)^-1 G^T C^-1 (y - f(x)),        G = df / dx
 
-from the least-squares start, until a step is shorter than `tolerance_m`. What the azimuth's difference means is the
-point of the paper:
+from the least-squares start, until a step is shorter than `tolerance_m`. What the azimuth's
+difference means is the point of the paper:
 
     arctan   f = arctan(y / x), the measurement folded into [-pi/2, pi/2)                            (b)
     atan2    both in [0, 2 pi), no correction                                                        (c)
     kcorr    both in [0, 2 pi), and 2 pi k added to f, k = sign(y - f) where |y - f| >= pi           (d)
 
-A fix diverges where |x| exceeds 1e9 m, becomes NaN or the normal matrix is not positive definite, and oscillates after
-`updates` steps; both give the start back, as in the paper. The number of updates is `iterations`.
+A fix diverges where |x| exceeds 1e9 m, becomes NaN or the normal matrix is not positive definite,
+and oscillates after `updates` steps; both give the start back, as in the paper. The number of
+updates is `iterations`.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ TURN = 2.0 * math.pi
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """`azimuth`: arctan, atan2 or kcorr; `as_printed`: null, or an erratum to run as the paper prints it.
+    """`azimuth`: arctan, atan2 or kcorr; `as_printed`: null, or an erratum to run as the paper
+    prints it.
 
     `sign` takes k = sign(f - y) [Algorithm 1, line 7; L1], `atan2` swaps its arguments [(22); L2].
     """
@@ -66,11 +69,18 @@ class GaussNewton:
         """One position per fix, the number of updates, and what became of the iteration."""
         compiled = kernels.load(KERNELS) if self.engine == "auto" else None
         if compiled is not None:
-            variant = AZIMUTHS.index(self.azimuth), 0 if self.as_printed is None else 1 + PRINTED.index(self.as_printed)
+            variant = (
+                AZIMUTHS.index(self.azimuth),
+                0 if self.as_printed is None else 1 + PRINTED.index(self.as_printed),
+            )
             found = by_kernel(compiled, batch, self.start, *variant, self.tolerance_m, self.updates)
             return Estimates(found[0], None, found[2], found[1])
         start = planes(batch, self.start)
-        x, outcome, iterations = start.copy(), np.full(start.shape[:2], int(Outcome.OK)), np.zeros(start.shape[:2])
+        x, outcome, iterations = (
+            start.copy(),
+            np.full(start.shape[:2], int(Outcome.OK)),
+            np.zeros(start.shape[:2]),
+        )
         for i, y in enumerate(zip(*measured(batch))):
             x[i], outcome[i], iterations[i] = self.iterate(start[i], *y, batch.anchors.of(i))
         return Estimates(x, None, iterations, outcome.astype(np.int8))
@@ -78,14 +88,20 @@ class GaussNewton:
     def iterate(
         self, start: Array, azimuth: Array, elevation: Array, wa: Array, we: Array, anchors: Anchors
     ) -> tuple[Array, np.ndarray, np.ndarray]:
-        """Positions (T, 3), outcomes (T,) and updates (T,) from starts (T, 3) and measurements (T, B)."""
+        """Positions (T, 3), outcomes (T,) and updates (T,) from starts (T, 3) and measurements (T,
+        B).
+        """
         x, count = start.copy(), np.zeros(len(start))
-        outcome = np.where(np.isfinite(start).all(-1), Outcome.OSCILLATED, Outcome.FAILED).astype(int)
+        outcome = np.where(np.isfinite(start).all(-1), Outcome.OSCILLATED, Outcome.FAILED).astype(
+            int
+        )
         active = np.flatnonzero(outcome == Outcome.OSCILLATED)
         for _ in range(self.updates):
             if not len(active):
                 break
-            A, g = self.normal_equations(x[active], azimuth[active], elevation[active], wa[active], we[active], anchors)
+            A, g = self.normal_equations(
+                x[active], azimuth[active], elevation[active], wa[active], we[active], anchors
+            )
             step = solve(A, g)
             count[active] += 1
             with np.errstate(invalid="ignore"):
@@ -104,7 +120,9 @@ class GaussNewton:
     ) -> tuple[Array, Array]:
         """G^T C^-1 G (N, 3, 3) and G^T C^-1 (y - f) (N, 3) at positions (N, 3)."""
         R = anchors.rotation[0]
-        u, v, w = np.moveaxis((R @ (x[:, None] - anchors.position[0])[..., None])[..., 0], -1, 0)  # (N, B)
+        u, v, w = np.moveaxis(
+            (R @ (x[:, None] - anchors.position[0])[..., None])[..., 0], -1, 0
+        )  # (N, B)
         with np.errstate(divide="ignore", invalid="ignore"):
             rho2 = u * u + v * v
             rho, r2 = np.sqrt(rho2), rho2 + w * w

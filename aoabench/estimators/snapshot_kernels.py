@@ -1,7 +1,9 @@
-"""Kernels of the snapshot estimators: least squares and Gauss-Newton on azimuth and elevation, one fix after the other.
+"""Kernels of the snapshot estimators: least squares and Gauss-Newton on azimuth and elevation, one
+fix after the other.
 
-The arithmetic of `least_squares.py` and `maximum_likelihood.py`. Within a fix the loops run over the anchors, padded
-with weight 0 to a multiple of `LANES`, without calls, so that the compiler vectorises them; no fix sees another one.
+The arithmetic of `least_squares.py` and `maximum_likelihood.py`. Within a fix the loops run over
+the anchors, padded with weight 0 to a multiple of `LANES`, without calls, so that the compiler
+vectorises them; no fix sees another one.
 
 Kernels may use nothing but this file: the cache on disk sees only its own.
 """
@@ -27,7 +29,9 @@ SINGULAR, FAR, TINY = 1e-12, 1e9, 1e-300
 
 
 def kernel(signature: Any) -> Callable[[Callable], Callable]:
-    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be written."""
+    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be
+    written.
+    """
 
     def compile_(function: Callable) -> Callable:
         try:
@@ -40,14 +44,34 @@ def kernel(signature: Any) -> Callable[[Callable], Callable]:
 
 inlined = njit(forceinline=True, **OPTIONS)
 
-# ------------------------------------------------------------------- angles, to the last bits of double precision
+# ------------------------------------------------------------------- angles, to the last bits of do
 
-_A0, _A1, _A2, _A3 = 1.0 - 3.3e-17, -0.333333333333286125, 0.199999999988882964, -0.142857141834355388
-_A4, _A5, _A6, _A7 = 0.111111062730520832, -0.0909077507849640526, 0.0768997990214833756, -0.0664044937578105326
+_A0, _A1, _A2, _A3 = (
+    1.0 - 3.3e-17,
+    -0.333333333333286125,
+    0.199999999988882964,
+    -0.142857141834355388,
+)
+_A4, _A5, _A6, _A7 = (
+    0.111111062730520832,
+    -0.0909077507849640526,
+    0.0768997990214833756,
+    -0.0664044937578105326,
+)
 _A8, _A9, _A10 = 0.0568941176226270065, -0.0435095403193050827, 0.0211690605246042418
-_S1, _S2, _S3, _S4 = -0.166666666666666666, 0.00833333333333332026, -0.000198412698412530222, 2.75573192133478667e-6
+_S1, _S2, _S3, _S4 = (
+    -0.166666666666666666,
+    0.00833333333333332026,
+    -0.000198412698412530222,
+    2.75573192133478667e-6,
+)
 _S5, _S6, _S7 = -2.50521047273601406e-8, 1.60583462371199003e-10, -7.57779904448778001e-13
-_C1, _C2, _C3, _C4 = -0.499999999999999993, 0.0416666666666664288, -0.00138888888888588082, 0.0000248015872828235969
+_C1, _C2, _C3, _C4 = (
+    -0.499999999999999993,
+    0.0416666666666664288,
+    -0.00138888888888588082,
+    0.0000248015872828235969,
+)
 _C5, _C6, _C7 = -2.75573128463784456e-7, 2.08755527170372636e-9, -1.13520037105950103e-11
 _REST = 6.123233995736766e-17  # pi / 2 = HALF_PI + _REST
 
@@ -83,7 +107,7 @@ def sine_cosine(x):
     return -a if quarter >= 2.0 else a, -b if (quarter == 1.0) | (quarter == 2.0) else b
 
 
-# ------------------------------------------------------------------------------------------------------- one fix
+# --------------------------------------------------------------------------------------------------
 
 
 @inlined
@@ -103,9 +127,11 @@ def solve(a00, a10, a11, a20, a21, a22, g0, g1, g2):
 
 @inlined
 def planes(rows, phi, theta, wa, we, s, R):
-    """Least-squares position from one fix's angles (B,), relative to the origin of s (3, B); R (3, 3, B).
+    """Least-squares position from one fix's angles (B,), relative to the origin of s (3, B); R (3,
+    3, B).
 
-    And whether the equations determine it: planes through one single place always meet there, whatever was measured.
+    And whether the equations determine it: planes through one single place always meet there,
+    whatever was measured.
     """
     a00 = a10 = a11 = a20 = a21 = a22 = g0 = g1 = g2 = 0.0
     n = mx = my = mz = m2 = 0.0
@@ -141,7 +167,9 @@ def planes(rows, phi, theta, wa, we, s, R):
         mz += w * s[2, j]
         m2 += w * (s[0, j] * s[0, j] + s[1, j] * s[1, j] + s[2, j] * s[2, j])
     x, y, z, sound = solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
-    apart = n * m2 - mx * mx - my * my - mz * mz  # sum of the squared distances between any two of them
+    apart = (
+        n * m2 - mx * mx - my * my - mz * mz
+    )  # sum of the squared distances between any two of them
     return x, y, z, sound & (apart > SINGULAR * n * m2)
 
 
@@ -201,11 +229,13 @@ def given(dimensions: int) -> types.Array:
         types.float64[:, ::1], types.int8[::1], types.float64[::1],
     )
 )  # fmt: skip
-def gauss_newton(azimuth, printed, rows, tolerance, updates, phi, theta, wa, we, s, R, x, outcome, count):
+def gauss_newton(
+    azimuth, printed, rows, tolerance, updates, phi, theta, wa, we, s, R, x, outcome, count
+):
     """Position x (N, 3), outcome and number of updates (N,) of each fix from its angles (N, B).
 
-    wa, we (N, B): 1 / variance, 0 where not measured (the angle is then any number); s (3, B) anchors relative to the
-    origin, R (3, 3, B). `updates` = 0: least squares alone.
+    wa, we (N, B): 1 / variance, 0 where not measured (the angle is then any number); s (3, B)
+    anchors relative to the origin, R (3, 3, B). `updates` = 0: least squares alone.
     """
     for n in range(len(phi)):
         a, b, c, sound = planes(rows, phi[n], theta[n], wa[n], we[n], s, R)
@@ -215,7 +245,9 @@ def gauss_newton(azimuth, printed, rows, tolerance, updates, phi, theta, wa, we,
         elif updates > 0:
             outcome[n] = OSCILLATED
             for u in range(updates):
-                da, db, dc, sound = update(azimuth, printed, a, b, c, phi[n], theta[n], wa[n], we[n], s, R)
+                da, db, dc, sound = update(
+                    azimuth, printed, a, b, c, phi[n], theta[n], wa[n], we[n], s, R
+                )
                 a, b, c, count[n] = a + da, b + db, c + dc, u + 1
                 if not (sound and a * a + b * b + c * c <= FAR * FAR):
                     outcome[n] = DIVERGED

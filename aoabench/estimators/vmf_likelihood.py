@@ -1,11 +1,13 @@
-"""Maximum likelihood of von Mises-Fisher directions: unit-vector residuals, no angle and no pole in the loop.
+"""Maximum likelihood of von Mises-Fisher directions: unit-vector residuals, no angle and no pole in
+the loop.
 
-The likelihood of directions d_i seen along u_i(p) = (p - s_i) / r_i is exp(sum_i kappa_i u_i . d_i) [Nurminen 2018,
-(5); Boquet 2024, M_vMF], and because |d - u|^2 = 2 - 2 u . d it is greatest where
+The likelihood of directions d_i seen along u_i(p) = (p - s_i) / r_i is exp(sum_i kappa_i u_i . d_i)
+[Nurminen 2018, (5); Boquet 2024, M_vMF], and because |d - u|^2 = 2 - 2 u . d it is greatest where
 
     f(p) = 1/2 sum_i kappa_i |d_i - u_i(p)|^2        is least;        du/dp = (I - u u^T) / r
 
-Levenberg-Marquardt steps from the point nearest to the measured lines, in space, or on the plane of a known height.
+Levenberg-Marquardt steps from the point nearest to the measured lines, in space, or on the plane of
+a known height.
 """
 
 from __future__ import annotations
@@ -27,11 +29,13 @@ FREE = "free"
 
 @dataclass(frozen=True)
 class VmfLikelihood:
-    """`height_m`: m, or `free` to estimate z too, or null for the scenario's height, free where it has none.
+    """`height_m`: m, or `free` to estimate z too, or null for the scenario's height, free where it
+    has none.
 
-    Each kappa is 1 / sigma^2 of the azimuth's stated deviation where there is one, otherwise all are alike. A fix is
-    `oscillated` if no step gets shorter than `tolerance_m` within `updates`, `diverged` beyond 1e6 m, `failed` without
-    a start. The score is the root mean square angle in rad between measured and expected directions.
+    Each kappa is 1 / sigma^2 of the azimuth's stated deviation where there is one, otherwise all
+    are alike. A fix is `oscillated` if no step gets shorter than `tolerance_m` within `updates`,
+    `diverged` beyond 1e6 m, `failed` without a start. The score is the root mean square angle in
+    rad between measured and expected directions.
     """
 
     height_m: float | str | None = None
@@ -72,23 +76,39 @@ class VmfLikelihood:
             level = np.full((*known.shape[:2], 1), height)
             start = np.concatenate([clipped(start[..., :2], scenario, True), level], axis=-1)
         shape, size = start.shape, start.shape[0] * start.shape[1]
-        flat = (start.reshape(size, 3), d.reshape(size, -1, 3), w.reshape(size, -1), s.reshape(size, -1, 3))
+        flat = (
+            start.reshape(size, 3),
+            d.reshape(size, -1, 3),
+            w.reshape(size, -1),
+            s.reshape(size, -1, 3),
+        )
         p, outcome, count, cost = self.minimise(*flat, free=height is None)
         n, total = known.sum(axis=-1), w.sum(axis=-1)
-        score = np.where(n > 1, np.sqrt(2 * cost.reshape(n.shape) / np.where(total > 0, total, 1.0)), np.nan)
+        score = np.where(
+            n > 1, np.sqrt(2 * cost.reshape(n.shape) / np.where(total > 0, total, 1.0)), np.nan
+        )
         position = p.reshape(shape).copy()
         position[..., :2] = clipped(position[..., :2], scenario, self.clip)
         if height is not None:
             position[..., 2] = np.nan
-        return Estimates(position, None, count.reshape(shape[:2]), outcome.reshape(shape[:2]), score, n.astype(float))
+        return Estimates(
+            position,
+            None,
+            count.reshape(shape[:2]),
+            outcome.reshape(shape[:2]),
+            score,
+            n.astype(float),
+        )
 
     def minimise(
         self, p: Array, d: Array, w: Array, s: Array, free: bool
     ) -> tuple[Array, np.ndarray, np.ndarray, Array]:
-        """Positions (N, 3) m, outcomes, updates and costs (N,), from starts (N, 3) and (N, B, ...) directions, weights
-        and anchors; without `free`, z stays."""
+        """Positions (N, 3) m, outcomes, updates and costs (N,), from starts (N, 3) and (N, B, ...)
+        directions, weights and anchors; without `free`, z stays."""
         p, damping, count = p.copy(), np.full(len(p), 1e-3), np.zeros(len(p))
-        outcome = np.where(np.isfinite(p).all(axis=-1), Outcome.OSCILLATED, Outcome.FAILED).astype(np.int8)
+        outcome = np.where(np.isfinite(p).all(axis=-1), Outcome.OSCILLATED, Outcome.FAILED).astype(
+            np.int8
+        )
         cost = np.where(outcome == Outcome.FAILED, np.nan, _expected(p, d, w, s)[2])
         left = np.flatnonzero(outcome == Outcome.OSCILLATED)
         for _ in range(self.updates):
@@ -119,7 +139,9 @@ class VmfLikelihood:
 
 
 def _expected(p: Array, d: Array, w: Array, s: Array) -> tuple[Array, Array, Array]:
-    """Directions u (N, B, 3) and distances r (N, B) m of points (N, 3) from the anchors, and the cost (N,)."""
+    """Directions u (N, B, 3) and distances r (N, B) m of points (N, 3) from the anchors, and the
+    cost (N,).
+    """
     u = p[:, None] - s
     r = np.maximum(np.sqrt((u**2).sum(axis=-1)), 1e-9)
     u = u / r[..., None]

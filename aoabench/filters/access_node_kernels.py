@@ -1,9 +1,9 @@
 """Kernel of the EKF at access nodes (ANs): double precision, `TILE` replications at once.
 
-The arithmetic of `filters/access_nodes.py`. The last axis of every array is the replications; innermost loops run over
-them, of constant length and without calls. Eight are few: the compiler unrolls such loops instead of vectorising them.
-With sixteen it vectorises and a step takes 0.6 of the time, but a tile of measurements at a hundred ANs then takes
-twice the memory.
+The arithmetic of `filters/access_nodes.py`. The last axis of every array is the replications;
+innermost loops run over them, of constant length and without calls. Eight are few: the compiler
+unrolls such loops instead of vectorising them. With sixteen it vectorises and a step takes 0.6 of
+the time, but a tile of measurements at a hundred ANs then takes twice the memory.
 
 Kernels may use nothing but this file: the cache on disk sees only its own.
 """
@@ -26,7 +26,9 @@ TINY = 1e-300
 
 
 def kernel(signature: Any) -> Callable[[Callable], Callable]:
-    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be written."""
+    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be
+    written.
+    """
 
     def compile_(function: Callable) -> Callable:
         try:
@@ -39,8 +41,18 @@ def kernel(signature: Any) -> Callable[[Callable], Callable]:
 
 inlined = njit(forceinline=True, **OPTIONS)
 
-_A0, _A1, _A2, _A3 = 1.0 - 3.3e-17, -0.333333333333286125, 0.199999999988882964, -0.142857141834355388
-_A4, _A5, _A6, _A7 = 0.111111062730520832, -0.0909077507849640526, 0.0768997990214833756, -0.0664044937578105326
+_A0, _A1, _A2, _A3 = (
+    1.0 - 3.3e-17,
+    -0.333333333333286125,
+    0.199999999988882964,
+    -0.142857141834355388,
+)
+_A4, _A5, _A6, _A7 = (
+    0.111111062730520832,
+    -0.0909077507849640526,
+    0.0768997990214833756,
+    -0.0664044937578105326,
+)
 _A8, _A9, _A10 = 0.0568941176226270065, -0.0435095403193050827, 0.0211690605246042418
 
 
@@ -68,7 +80,9 @@ def wrapped(a):
 
 @inlined
 def expected(x, s, R, jacobian, h, H):
-    """Range, azimuth, elevation h (3, TILE) at positions x (n, TILE) and their derivatives H (3, 3, TILE)."""
+    """Range, azimuth, elevation h (3, TILE) at positions x (n, TILE) and their derivatives H (3, 3,
+    TILE).
+    """
     for r in range(TILE):
         dx, dy, dz = x[0, r] - s[0, r], x[1, r] - s[1, r], x[2, r] - s[2, r]
         u = R[0, 0] * dx + R[0, 1] * dy + R[0, 2] * dz
@@ -89,9 +103,11 @@ def expected(x, s, R, jacobian, h, H):
 
 @inlined
 def accumulate(first, last, H, v, S, A, g):
-    """A += H^T S^-1 H and g += H^T S^-1 v over the rows first ... last-1 of one AN; S in place becomes its factor.
+    """A += H^T S^-1 H and g += H^T S^-1 v over the rows first ... last-1 of one AN; S in place
+    becomes its factor.
 
-    A square-root-free Cholesky factor: rows are freed from those before them and then divided by their pivot.
+    A square-root-free Cholesky factor: rows are freed from those before them and then divided by
+    their pivot.
     """
     for i in range(first, last):
         for j in range(first, i):
@@ -114,7 +130,9 @@ def accumulate(first, last, H, v, S, A, g):
 
 @inlined
 def spread(A, g, C):
-    """A (I + C A)^-1 and (I + A C)^-1 g in place: one more error of the position with variances C (3,)."""
+    """A (I + C A)^-1 and (I + A C)^-1 g in place: one more error of the position with variances C
+    (3,).
+    """
     for r in range(TILE):
         a, b, c, d, e, f = A[0, 0, r], A[1, 0, r], A[1, 1, r], A[2, 0, r], A[2, 1, r], A[2, 2, r]
         m00, m01, m02 = 1.0 + a * C[0], b * C[1], d * C[2]
@@ -138,14 +156,35 @@ def spread(A, g, C):
 
 @inlined
 def update(x, P, A, g, W, b):
-    """x += P_:p (I + A P_pp)^-1 g and P -= P_:p (I + A P_pp)^-1 A P_p:, with the lower half of A (3, 3, TILE)."""
+    """x += P_:p (I + A P_pp)^-1 g and P -= P_:p (I + A P_pp)^-1 A P_p:, with the lower half of A
+    (3, 3, TILE).
+    """
     for r in range(TILE):
         a, c, e = A[0, 0, r], A[1, 1, r], A[2, 2, r]
         f, h, i = A[1, 0, r], A[2, 0, r], A[2, 1, r]
-        p00, p10, p11, p20, p21, p22 = P[0, 0, r], P[1, 0, r], P[1, 1, r], P[2, 0, r], P[2, 1, r], P[2, 2, r]
-        m00, m01, m02 = 1.0 + a * p00 + f * p10 + h * p20, a * p10 + f * p11 + h * p21, a * p20 + f * p21 + h * p22
-        m10, m11, m12 = f * p00 + c * p10 + i * p20, 1.0 + f * p10 + c * p11 + i * p21, f * p20 + c * p21 + i * p22
-        m20, m21, m22 = h * p00 + i * p10 + e * p20, h * p10 + i * p11 + e * p21, 1.0 + h * p20 + i * p21 + e * p22
+        p00, p10, p11, p20, p21, p22 = (
+            P[0, 0, r],
+            P[1, 0, r],
+            P[1, 1, r],
+            P[2, 0, r],
+            P[2, 1, r],
+            P[2, 2, r],
+        )
+        m00, m01, m02 = (
+            1.0 + a * p00 + f * p10 + h * p20,
+            a * p10 + f * p11 + h * p21,
+            a * p20 + f * p21 + h * p22,
+        )
+        m10, m11, m12 = (
+            f * p00 + c * p10 + i * p20,
+            1.0 + f * p10 + c * p11 + i * p21,
+            f * p20 + c * p21 + i * p22,
+        )
+        m20, m21, m22 = (
+            h * p00 + i * p10 + e * p20,
+            h * p10 + i * p11 + e * p21,
+            1.0 + h * p20 + i * p21 + e * p22,
+        )
         i00, i01, i02 = m11 * m22 - m12 * m21, m02 * m21 - m01 * m22, m01 * m12 - m02 * m11
         i10, i11, i12 = m12 * m20 - m10 * m22, m00 * m22 - m02 * m20, m02 * m10 - m00 * m12
         i20, i21, i22 = m10 * m21 - m11 * m20, m01 * m20 - m00 * m21, m00 * m11 - m01 * m10
@@ -179,7 +218,11 @@ def conclude(x, P, W, b, column, moved):
             moved[2, r] = u * W[2, 0, r] + v * W[2, 1, r] + w * W[2, 2, r]
         for j in range(i + 1):
             for r in range(TILE):
-                d = moved[0, r] * column[j, 0, r] + moved[1, r] * column[j, 1, r] + moved[2, r] * column[j, 2, r]
+                d = (
+                    moved[0, r] * column[j, 0, r]
+                    + moved[1, r] * column[j, 1, r]
+                    + moved[2, r] * column[j, 2, r]
+                )
                 P[i, j, r] -= d
         for j in range(i):
             for r in range(TILE):
@@ -230,11 +273,30 @@ def given(dimensions: int, dtype: Any = types.float64) -> types.Array:
         *[types.boolean] * 4, types.float64[:, :, ::1], types.float64[:, :, :, ::1],
     )
 )  # fmt: skip
-def ekf(x0, P0, F, Q, Y, q, heard, position, rotation, C, jacobian, unwrapped, shared, apart, means, covariances):
-    """EKF of replications: means (R, T, 3) and covariances (R, T, 3, 3) from Y, q (R, T, K, 3), R at most TILE.
+def ekf(
+    x0,
+    P0,
+    F,
+    Q,
+    Y,
+    q,
+    heard,
+    position,
+    rotation,
+    C,
+    jacobian,
+    unwrapped,
+    shared,
+    apart,
+    means,
+    covariances,
+):
+    """EKF of replications: means (R, T, 3) and covariances (R, T, 3, 3) from Y, q (R, T, K, 3), R
+    at most TILE.
 
-    x0 (R, n), P0, F, Q (n, n); `heard` (T, K) names the ANs of each step, -1 for none; position (R, B, 3),
-    rotation (B, 3, 3); C (B, 3) variances of the ANs' positions. The flags run errata as printed.
+    x0 (R, n), P0, F, Q (n, n); `heard` (T, K) names the ANs of each step, -1 for none; position (R,
+    B, 3), rotation (B, 3, 3); C (B, 3) variances of the ANs' positions. The flags run errata as
+    printed.
     """
     (T, K), (R, n) = heard.shape, x0.shape
     last = R - 1
@@ -247,7 +309,12 @@ def ekf(x0, P0, F, Q, Y, q, heard, position, rotation, C, jacobian, unwrapped, s
         np.empty((3, 3, TILE)),
         np.empty((3, 3, TILE)),
     )
-    A, g, W, b = np.empty((3, 3, TILE)), np.empty((3, TILE)), np.empty((3, 3, TILE)), np.empty((3, TILE))
+    A, g, W, b = (
+        np.empty((3, 3, TILE)),
+        np.empty((3, TILE)),
+        np.empty((3, 3, TILE)),
+        np.empty((3, TILE)),
+    )
     A2, g2, moved = np.empty((3, 3, TILE)), np.empty((3, TILE)), np.empty((3, TILE))
     for i in range(n):
         for r in range(TILE):
@@ -287,7 +354,10 @@ def ekf(x0, P0, F, Q, Y, q, heard, position, rotation, C, jacobian, unwrapped, s
                     for r in range(TILE):
                         c = 0.0
                         if not shared and not (apart and i != j and j == 0):
-                            c = H[i, 0, r] * H[j, 0, r] * C[a, 0] + H[i, 1, r] * H[j, 1, r] * C[a, 1]
+                            c = (
+                                H[i, 0, r] * H[j, 0, r] * C[a, 0]
+                                + H[i, 1, r] * H[j, 1, r] * C[a, 1]
+                            )
                             c += H[i, 2, r] * H[j, 2, r] * C[a, 2]
                         S[i, j, r] = S[i, j, r] + c if i == j else c
             if shared and apart:

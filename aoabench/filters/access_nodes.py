@@ -1,14 +1,16 @@
-"""EKF on times and angles of arrival at access nodes (ANs) whose own positions are uncertain [Lu 2019, (15)-(26)].
+"""EKF on times and angles of arrival at access nodes (ANs) whose own positions are uncertain [Lu
+2019, (15)-(26)].
 
-Everything measured depends on the position alone, so that an update needs 3 x 3 matrices only. Per AN, with H (3, 3)
-the derivatives of (c delay, azimuth, elevation) by the position, those by the AN's position being -H,
+Everything measured depends on the position alone, so that an update needs 3 x 3 matrices only. Per
+AN, with H (3, 3) the derivatives of (c delay, azimuth, elevation) by the position, those by the
+AN's position being -H,
 
     S = diag(qualities) + H C H^T,    A = sum H^T S^-1 H,    g = sum H^T S^-1 (y - h)
     x+ = x + P_:p (I + A P_pp)^-1 g,    P+ = P - P_:p (I + A P_pp)^-1 A P_p:                    (p: the position)
 
-which is K = P H^T (H P H^T + R)^-1. C is the covariance of an AN's position, R block-diagonal over the ANs: their
-errors are independent (errata U3, U4). One error common to all ANs is a further error of the position: A becomes
-A (I + C A)^-1 with S without C; that is what (23), (24) print.
+which is K = P H^T (H P H^T + R)^-1. C is the covariance of an AN's position, R block-diagonal over
+the ANs: their errors are independent (errata U3, U4). One error common to all ANs is a further
+error of the position: A becomes A (I + C A)^-1 with S without C; that is what (23), (24) print.
 """
 
 from __future__ import annotations
@@ -37,10 +39,10 @@ RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 class AccessNodeEKF:
     """EKF with times and angles (`toa: true`) or angles alone.
 
-    What the filter believes of the ANs' positions is what the anchors state (`position_sigma`; nothing: exact).
-    `as_printed` runs errata as the paper prints them: `jacobian` (21), (26) [U1, U2], `wrap` the azimuth's difference
-    is not wrapped [U8], `shared` (23), (24) one error for all ANs [U3], `cross` (22) no covariance between time and
-    angles of an AN [U4].
+    What the filter believes of the ANs' positions is what the anchors state (`position_sigma`;
+    nothing: exact). `as_printed` runs errata as the paper prints them: `jacobian` (21), (26) [U1,
+    U2], `wrap` the azimuth's difference is not wrapped [U8], `shared` (23), (24) one error for all
+    ANs [U3], `cross` (22) no covariance between time and angles of an AN [U4].
     """
 
     toa: bool = True
@@ -66,11 +68,17 @@ class AccessNodeEKF:
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
         if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
-            raise BadValue("filter", type(self).__name__, "a scenario with a motion model and a prior")
+            raise BadValue(
+                "filter", type(self).__name__, "a scenario with a motion model and a prior"
+            )
         if self.toa and (batch.delay is None or batch.delay_sigma is None):
-            raise BadValue("filter", "ekf_toa_aoa", "a noise that measures times of arrival: ofdm_crlb")
+            raise BadValue(
+                "filter", "ekf_toa_aoa", "a noise that measures times of arrival: ofdm_crlb"
+            )
         if batch.azimuth_sigma is None or batch.elevation_sigma is None:
-            raise BadValue("filter", type(self).__name__, "measurements that state their deviations")
+            raise BadValue(
+                "filter", type(self).__name__, "measurements that state their deviations"
+            )
         F, Q = scenario.motion.matrices(scenario.dt)
         y, q, heard = self.measured(batch)
         sigma = batch.anchors.position_sigma
@@ -78,13 +86,19 @@ class AccessNodeEKF:
         compiled = kernels.load(KERNELS) if self.engine == "auto" else None
         recursion = self._recursion if compiled is None else compiled.run
         flags = tuple(name in self.as_printed for name in PRINTED)
-        position, covariance = recursion(batch.prior_mean, batch.prior_cov, F, Q, y, q, heard, batch.anchors, C, flags)
+        position, covariance = recursion(
+            batch.prior_mean, batch.prior_cov, F, Q, y, q, heard, batch.anchors, C, flags
+        )
         finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
-        return Estimates(position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8))
+        return Estimates(
+            position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
+        )
 
     def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
-        """Innovations (R, T) at the predicted mean, by access node and component; NaN where it was not heard."""
+        """Innovations (R, T) at the predicted mean, by access node and component; NaN where it was
+        not heard.
+        """
         F, Q = scenario.motion.matrices(scenario.dt)
         y, q, heard = self.measured(batch)
         R, T, B = batch.azimuth.shape
@@ -103,12 +117,16 @@ class AccessNodeEKF:
         return innovations(found.reshape(R, T, -1), B, names)
 
     def measured(self, batch: Batch) -> tuple[Array, Array, np.ndarray]:
-        """What the ANs heard at each step (T, K) measured, -1 filling up: ANs that nobody heard are left out.
+        """What the ANs heard at each step (T, K) measured, -1 filling up: ANs that nobody heard are
+        left out.
 
-        (c delay, azimuth, elevation) (R, T, K, 3) in m and rad, NaN = not measured, and their variances.
+        (c delay, azimuth, elevation) (R, T, K, 3) in m and rad, NaN = not measured, and their
+        variances.
         """
         angles = np.isfinite(batch.azimuth) | np.isfinite(batch.elevation)
-        heard_at_all = angles if batch.delay is None or not self.toa else angles | np.isfinite(batch.delay)
+        heard_at_all = (
+            angles if batch.delay is None or not self.toa else angles | np.isfinite(batch.delay)
+        )
         anyone: np.ndarray = np.any(heard_at_all, axis=0)
         step, an = np.nonzero(anyone)
         heard = np.full((len(anyone), max(int(anyone.sum(axis=1).max(initial=0)), 1)), -1)
@@ -118,8 +136,15 @@ class AccessNodeEKF:
         own = heard >= 0
         k = np.nonzero(own)[0]
         of = (slice(None), k, heard[own])
-        pairs: list[Any] = [(batch.azimuth, batch.azimuth_sigma, 1.0), (batch.elevation, batch.elevation_sigma, 1.0)]
-        pairs = [(batch.delay, batch.delay_sigma, LIGHT), *pairs] if self.toa else [(None, None, 1.0), *pairs]
+        pairs: list[Any] = [
+            (batch.azimuth, batch.azimuth_sigma, 1.0),
+            (batch.elevation, batch.elevation_sigma, 1.0),
+        ]
+        pairs = (
+            [(batch.delay, batch.delay_sigma, LIGHT), *pairs]
+            if self.toa
+            else [(None, None, 1.0), *pairs]
+        )
         for i, (value, sigma, scale) in enumerate(pairs):
             if value is not None and sigma is not None:
                 variance = (scale * sigma[of]) ** 2
@@ -142,10 +167,14 @@ class AccessNodeEKF:
         flags: tuple[bool, ...],
         seen: list[Array] | None = None,
     ) -> tuple[Array, Array]:
-        """The same in NumPy: positions (R, T, 3) and covariances (R, T, 3, 3); innovations (R, K, 3) go to `seen`."""
+        """The same in NumPy: positions (R, T, 3) and covariances (R, T, 3, 3); innovations (R, K,
+        3) go to `seen`.
+        """
         x, P = np.asarray(mean), np.broadcast_to(P, (*mean.shape, mean.shape[1]))
         means, covariances = [], []
-        with np.errstate(all="ignore"):  # a replication that overflows becomes NaN and is counted as failed
+        with np.errstate(
+            all="ignore"
+        ):  # a replication that overflows becomes NaN and is counted as failed
             for k, of in enumerate(heard):
                 x, P = x @ F.T, F @ P @ F.T + Q
                 those = Anchors(anchors.position[:, of], anchors.rotation[:, of])
@@ -154,7 +183,9 @@ class AccessNodeEKF:
                     v[..., 1] = wrap(v[..., 1])
                     seen.append(v)
                 A, g = information(x[:, :3], y[:, k], q[:, k], those, C[of], flags)
-                W = np.linalg.solve(np.eye(3) + A @ P[:, :3, :3], np.concatenate([A, g[..., None]], axis=-1))
+                W = np.linalg.solve(
+                    np.eye(3) + A @ P[:, :3, :3], np.concatenate([A, g[..., None]], axis=-1)
+                )
                 x = x + (P[:, :, :3] @ W[..., 3:])[..., 0]
                 P = P - P[:, :, :3] @ W[..., :3] @ P[:, :3, :]
                 P = 0.5 * (P + np.swapaxes(P, -1, -2))
@@ -166,7 +197,8 @@ class AccessNodeEKF:
 def information(
     x: Array, y: Array, q: Array, anchors: Anchors, C: Array, flags: tuple[bool, ...] = (False,) * 4
 ) -> tuple[Array, Array]:
-    """A (R, 3, 3) and g (R, 3) of one step's measurements y with variances q (R, B, 3) at positions x (R, 3) m.
+    """A (R, 3, 3) and g (R, 3) of one step's measurements y with variances q (R, B, 3) at positions
+    x (R, 3) m.
 
     C (B, 3) m^2: variances of the ANs' positions.
     """
@@ -174,7 +206,9 @@ def information(
     h, H = expected(x, anchors, jacobian)
     v = y - h
     if unwrapped:
-        turn = np.arctan2(anchors.rotation[..., 0, 1], anchors.rotation[..., 0, 0])  # the broadside's direction
+        turn = np.arctan2(
+            anchors.rotation[..., 0, 1], anchors.rotation[..., 0, 0]
+        )  # the broadside's direction
         v[..., 1] = wrap(y[..., 1] + turn) - wrap(h[..., 1] + turn)
     else:
         v[..., 1] = wrap(v[..., 1])
@@ -198,17 +232,20 @@ def information(
 
 
 def gather(H: Array, v: Array, S: Array) -> tuple[Array, Array]:
-    """Sums over the ANs of H^T S^-1 H (R, 3, 3) and of H^T S^-1 v (R, 3) from H, S (R, B, 3, 3), v (R, B, 3)."""
+    """Sums over the ANs of H^T S^-1 H (R, 3, 3) and of H^T S^-1 v (R, 3) from H, S (R, B, 3, 3), v
+    (R, B, 3).
+    """
     both = np.swapaxes(H, -1, -2) @ np.linalg.solve(S, np.concatenate([H, v[..., None]], axis=-1))
     both = both.sum(axis=1)
     return both[..., :3], both[..., 3]
 
 
 def expected(x: Array, anchors: Anchors, printed: bool = False) -> tuple[Array, Array]:
-    """(Range, azimuth, elevation) (R, B, 3) at positions x (R, 3) m and their derivatives (R, B, 3, 3).
+    """(Range, azimuth, elevation) (R, B, 3) at positions x (R, 3) m and their derivatives (R, B, 3,
+    3).
 
-    `printed` takes the denominators of (21): d_2D^2 for d_2D d^2 and for d^2 in the elevation's row, d_2D for d_2D^2 in
-    the azimuth's.
+    `printed` takes the denominators of (21): d_2D^2 for d_2D d^2 and for d^2 in the elevation's
+    row, d_2D for d_2D^2 in the azimuth's.
     """
     R = anchors.rotation
     local = (R @ (x[:, None] - anchors.position)[..., None])[..., 0]  # (R, B, 3)

@@ -1,12 +1,14 @@
-"""Kalman filters over a tile of replications: EKF and UKF, for any measurement model with uncorrelated components.
+"""Kalman filters over a tile of replications: EKF and UKF, for any measurement model with
+uncorrelated components.
 
-The state has few dimensions and the measurement many, so both updates invert in the small space. With
-W = R^-1 (0 for a component that is not measured):
+The state has few dimensions and the measurement many, so both updates invert in the small space.
+With W = R^-1 (0 for a component that is not measured):
 
     EKF   P+ = L (I + L^T C^T W C L)^-1 L^T,  P = L L^T;   x+ = x + P+ C^T W (y - h(x))
     UKF   P+ = X (I + Z^T W Z)^-1 X^T,  X, Z the weighted deviations of sigma points and of their images
 
-which equal K = P C^T (C P C^T + R)^-1, P+ = P - K S K^T [Nurminen 2018, Alg. 2 and 3; errata N1-N8].
+which equal K = P C^T (C P C^T + R)^-1, P+ = P - K S K^T [Nurminen 2018, Alg. 2 and 3; errata
+N1-N8].
 """
 
 from __future__ import annotations
@@ -21,7 +23,16 @@ from aoabench import kernels
 from aoabench.filters.kernels import innovations, kind_of, variances
 from aoabench.geometry import Array
 from aoabench.streams import Streams
-from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_choice, check_number
+from aoabench.types import (
+    Anchors,
+    BadValue,
+    Batch,
+    Estimates,
+    Measurement,
+    Outcome,
+    check_choice,
+    check_number,
+)
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
     from aoabench.filters import kalman_kernels  # noqa: F401
@@ -33,7 +44,8 @@ KERNELS = "filters.kalman_kernels"
 class _Kalman:
     """The recursion that both filters share; the scenario brings the motion model and the prior.
 
-    `engine`: `auto` takes the compiled kernel where there is one for the measurement model, `numpy` never does.
+    `engine`: `auto` takes the compiled kernel where there is one for the measurement model, `numpy`
+    never does.
     """
 
     measurement: Measurement
@@ -52,7 +64,9 @@ class _Kalman:
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
         if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
-            raise BadValue("filter", type(self).__name__, "a scenario with a motion model and a prior")
+            raise BadValue(
+                "filter", type(self).__name__, "a scenario with a motion model and a prior"
+            )
         F, Q = scenario.motion.matrices(scenario.dt)
         Y, quality = self.measurement.observe(batch)
         kernel = self.kernel()
@@ -63,29 +77,49 @@ class _Kalman:
             position, covariance = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
             function, kind, *more = kernel
             model, anchors = (batch.prior_mean, batch.prior_cov, F, Q), batch.anchors
-            arrays = (*model, Y, quality, anchors.position, anchors.rotation, variances(self.measurement))
+            arrays = (
+                *model,
+                Y,
+                quality,
+                anchors.position,
+                anchors.rotation,
+                variances(self.measurement),
+            )
             given = (np.ascontiguousarray(a, dtype=float) for a in arrays)
             getattr(compiled, function)(kind, *given, position, covariance, *more)
         finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
-        return Estimates(position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8))
+        return Estimates(
+            position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
+        )
 
     def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by component."""
         seen: list[Array] = []
         F, Q = scenario.motion.matrices(scenario.dt)
-        self._recursion(batch, np.asarray(batch.prior_cov), F, Q, *self.measurement.observe(batch), seen)
+        self._recursion(
+            batch, np.asarray(batch.prior_cov), F, Q, *self.measurement.observe(batch), seen
+        )
         return innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
 
     def _recursion(
-        self, batch: Batch, P: Array, F: Array, Q: Array, Y: Array, quality: Array, seen: list[Array] | None = None
+        self,
+        batch: Batch,
+        P: Array,
+        F: Array,
+        Q: Array,
+        Y: Array,
+        quality: Array,
+        seen: list[Array] | None = None,
     ) -> tuple[Array, Array]:
         """The same in NumPy, for any measurement model; innovations (R, m) are appended to `seen`."""
         h = self.measurement
         x = np.asarray(batch.prior_mean)
         P = np.broadcast_to(P, (*x.shape, x.shape[-1]))
         means, covariances = [], []
-        with np.errstate(all="ignore"):  # a replication that overflows becomes NaN and is counted as failed
+        with np.errstate(
+            all="ignore"
+        ):  # a replication that overflows becomes NaN and is counted as failed
             for k in range(Y.shape[1]):
                 x = x @ F.T
                 P = F @ P @ F.T + Q
@@ -96,12 +130,18 @@ class _Kalman:
                 covariances.append(P[:, :3, :3])
         return np.stack(means, axis=1), np.stack(covariances, axis=1)
 
-    def update(self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors) -> tuple[Array, Array]:
-        """Posterior mean (R, n) and covariance (R, n, n) from the prior's, y (R, m) and its variances r (R, m)."""
+    def update(
+        self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
+    ) -> tuple[Array, Array]:
+        """Posterior mean (R, n) and covariance (R, n, n) from the prior's, y (R, m) and its
+        variances r (R, m).
+        """
         raise NotImplementedError
 
     def kernel(self) -> tuple[Any, ...] | None:
-        """Compiled function, number of the measurement model and further arguments; None if there is none."""
+        """Compiled function, number of the measurement model and further arguments; None if there
+        is none.
+        """
         return None
 
 
@@ -113,7 +153,9 @@ class EKF(_Kalman):
         kind = kind_of(self.measurement, self.engine)
         return None if kind is None or type(self) is not EKF else ("ekf", kind)
 
-    def update(self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors) -> tuple[Array, Array]:
+    def update(
+        self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
+    ) -> tuple[Array, Array]:
         h = self.measurement
         C = h.jacobian(x, anchors)
         v, W = weigh(h.residual(y, h.predict(x, anchors)), h.covariance(x, anchors, r))
@@ -127,10 +169,12 @@ class EKF(_Kalman):
 
 @dataclass(frozen=True)
 class UKF(_Kalman):
-    """Unscented Kalman filter with 2 n + 1 sigma points [Nurminen 2018, Alg. 3]; `lambda_` >= 0 spreads them.
+    """Unscented Kalman filter with 2 n + 1 sigma points [Nurminen 2018, Alg. 3]; `lambda_` >= 0
+    spreads them.
 
-    Angles are averaged as deviations from the central point's. Where the variances depend on the state, `form` says
-    how: `averaged` over the sigma points, at the `centre`, or `augmented` (the noise is a part of the sigma points).
+    Angles are averaged as deviations from the central point's. Where the variances depend on the
+    state, `form` says how: `averaged` over the sigma points, at the `centre`, or `augmented` (the
+    noise is a part of the sigma points).
     """
 
     lambda_: float = 0.5
@@ -147,7 +191,9 @@ class UKF(_Kalman):
             return None
         return "ukf", kind, float(self.lambda_), ("averaged", "centre").index(self.form)
 
-    def update(self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors) -> tuple[Array, Array]:
+    def update(
+        self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
+    ) -> tuple[Array, Array]:
         if self.form == "augmented":
             return self._augmented(x, P, y, r, anchors)
         h = self.measurement
@@ -158,7 +204,9 @@ class UKF(_Kalman):
         if self.form == "centre":
             R = h.covariance(x, anchors, r)
         else:
-            R = (w[:, None] * np.broadcast_to(h.covariance(points, anchors, r), images.shape)).sum(axis=1)
+            R = (w[:, None] * np.broadcast_to(h.covariance(points, anchors, r), images.shape)).sum(
+                axis=1
+            )
         v, W = weigh(h.residual(y, images[:, 0] + mean), R)
         X = np.sqrt(w)[:, None] * (points - x[:, None])  # (R, S, n)
         Z = np.sqrt(w)[:, None] * (deviation - mean[:, None])  # (R, S, m)
@@ -168,16 +216,23 @@ class UKF(_Kalman):
         P = Gt @ X
         return x + (Gt @ (ZW @ v[..., None]))[..., 0], 0.5 * (P + np.swapaxes(P, -1, -2))
 
-    def _augmented(self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors) -> tuple[Array, Array]:
+    def _augmented(
+        self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
+    ) -> tuple[Array, Array]:
         """Sigma points of (x, e), e ~ N(0, I) in m dimensions, through h(x) + sigma(x) e."""
         h, (n, m) = self.measurement, (x.shape[-1], y.shape[-1])
         L = np.zeros((len(x), n + m, n + m))
         L[:, :n, :n] = cholesky(P)
         L[:, n:, n:] = np.eye(m)
-        points, w = sigma_points(np.concatenate([x, np.zeros((len(x), m))], axis=-1), L, self.lambda_)
+        points, w = sigma_points(
+            np.concatenate([x, np.zeros((len(x), m))], axis=-1), L, self.lambda_
+        )
         state = np.ascontiguousarray(points[..., :n])
         images = h.predict(state, anchors)
-        deviation = h.residual(images, images[:, :1]) + np.sqrt(h.covariance(state, anchors, r)) * points[..., n:]
+        deviation = (
+            h.residual(images, images[:, :1])
+            + np.sqrt(h.covariance(state, anchors, r)) * points[..., n:]
+        )
         mean = w @ deviation
         v = h.residual(y, images[:, 0] + mean)
         measured = ~np.isnan(v)
@@ -187,11 +242,15 @@ class UKF(_Kalman):
         Kt = np.linalg.solve(S, np.swapaxes(Z, -1, -2) @ X)  # (R, m, n)
         K = np.swapaxes(Kt, -1, -2)
         P = np.swapaxes(X, -1, -2) @ X - K @ S @ Kt
-        return x + (K @ np.where(measured, v, 0.0)[..., None])[..., 0], 0.5 * (P + np.swapaxes(P, -1, -2))
+        return x + (K @ np.where(measured, v, 0.0)[..., None])[..., 0], 0.5 * (
+            P + np.swapaxes(P, -1, -2)
+        )
 
 
 def sigma_points(x: Array, L: Array, lambda_: float) -> tuple[Array, Array]:
-    """Points (R, 2n+1, n) x, x + sqrt(n + lambda) L_i, x - sqrt(n + lambda) L_i, and their weights (2n+1,)."""
+    """Points (R, 2n+1, n) x, x + sqrt(n + lambda) L_i, x - sqrt(n + lambda) L_i, and their weights
+    (2n+1,).
+    """
     n = x.shape[-1]
     spread = np.sqrt(n + lambda_) * np.swapaxes(L, -1, -2)
     points = np.concatenate([x[:, None], x[:, None] + spread, x[:, None] - spread], axis=1)

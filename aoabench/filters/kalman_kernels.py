@@ -1,12 +1,14 @@
 """Kalman filter kernels: EKF and UKF in double precision, vectorised over replications.
 
-The arithmetic of `filters/kalman.py`, written out for states whose first three components are the position and for the
-measurement models that are numbered below. In both filters the measurement enters component by component, and
-P+ = V^T V with V = G^-1 L^T and G G^T = I + L^T A L is positive semidefinite by its form.
+The arithmetic of `filters/kalman.py`, written out for states whose first three components are the
+position and for the measurement models that are numbered below. In both filters the measurement
+enters component by component, and P+ = V^T V with V = G^-1 L^T and G G^T = I + L^T A L is positive
+semidefinite by its form.
 
-Arrays have one more axis than in the textbook, the last: `TILE` replications. Whatever is innermost below is a loop
-over them, of constant length and without calls, so that the compiler vectorises it. Angles are computed by a polynomial
-after halving twice, 4 atan(t) with t <= tan(pi / 8), to the last bits of double precision.
+Arrays have one more axis than in the textbook, the last: `TILE` replications. Whatever is innermost
+below is a loop over them, of constant length and without calls, so that the compiler vectorises it.
+Angles are computed by a polynomial after halving twice, 4 atan(t) with t <= tan(pi / 8), to the
+last bits of double precision.
 
 Kernels may use nothing but this file: the cache on disk sees only its own.
 """
@@ -31,7 +33,9 @@ TINY = 1e-300
 
 
 def kernel(signature: Any) -> Callable[[Callable], Callable]:
-    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be written."""
+    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be
+    written.
+    """
 
     def compile_(function: Callable) -> Callable:
         try:
@@ -44,10 +48,20 @@ def kernel(signature: Any) -> Callable[[Callable], Callable]:
 
 inlined = njit(forceinline=True, **OPTIONS)
 
-# ------------------------------------------------------------------------------------------------------------- angles
+# --------------------------------------------------------------------------------------------------
 
-_A0, _A1, _A2, _A3 = 1.0 - 3.3e-17, -0.333333333333286125, 0.199999999988882964, -0.142857141834355388
-_A4, _A5, _A6, _A7 = 0.111111062730520832, -0.0909077507849640526, 0.0768997990214833756, -0.0664044937578105326
+_A0, _A1, _A2, _A3 = (
+    1.0 - 3.3e-17,
+    -0.333333333333286125,
+    0.199999999988882964,
+    -0.142857141834355388,
+)
+_A4, _A5, _A6, _A7 = (
+    0.111111062730520832,
+    -0.0909077507849640526,
+    0.0768997990214833756,
+    -0.0664044937578105326,
+)
 _A8, _A9, _A10 = 0.0568941176226270065, -0.0435095403193050827, 0.0211690605246042418
 
 
@@ -74,7 +88,7 @@ def wrapped(a):
     return a if a > -math.pi else math.pi
 
 
-# -------------------------------------------------------------------------------------------- measurements, one anchor
+# -------------------------------------------------------------------------------------------- measu
 
 
 @inlined
@@ -108,7 +122,9 @@ def slopes(kind, p, c, R, out):
     if kind == UNIT_VECTOR:  # (I - c c^T) R / distance
         for q in range(3):
             for r in range(TILE):
-                d = max(math.sqrt(p[0, r] * p[0, r] + p[1, r] * p[1, r] + p[2, r] * p[2, r]), NEAREST)
+                d = max(
+                    math.sqrt(p[0, r] * p[0, r] + p[1, r] * p[1, r] + p[2, r] * p[2, r]), NEAREST
+                )
                 e = c[0, r] * R[0, q, r] + c[1, r] * R[1, q, r] + c[2, r] * R[2, q, r]
                 out[0, q, r] = (R[0, q, r] - c[0, r] * e) / d
                 out[1, q, r] = (R[1, q, r] - c[1, r] * e) / d
@@ -155,7 +171,7 @@ def deviation(kind, l, a, b, out):
         out[r] = wrapped(d) if kind != UNIT_VECTOR and l == 0 else d
 
 
-# ----------------------------------------------------------------------------------------- linear algebra, n x n x TILE
+# ----------------------------------------------------------------------------------------- linear a
 
 
 @inlined
@@ -201,7 +217,9 @@ def predict(x, P, F, Q, FP, Fx):
 
 @inlined
 def cholesky(A, L):
-    """Lower factor of A into L; NaN where A is not positive definite. The diagonal is left as its inverse."""
+    """Lower factor of A into L; NaN where A is not positive definite. The diagonal is left as its
+    inverse.
+    """
     n = len(A)
     for j in range(n):
         L[j, j] = A[j, j]
@@ -262,12 +280,14 @@ def conclude(x, P, V, b):
                 P[j, i] = P[i, j]
 
 
-# ------------------------------------------------------------------------------------------------------ in and out
+# --------------------------------------------------------------------------------------------------
 
 
 @inlined
 def load(source, start, out):
-    """out (..., TILE) from the replications start ... of source (R|1, ...); the last one fills up the tile."""
+    """out (..., TILE) from the replications start ... of source (R|1, ...); the last one fills up
+    the tile.
+    """
     last = len(source) - 1
     a, b = out.reshape(-1, TILE), source.reshape(len(source), -1)
     for i in range(len(a)):
@@ -308,20 +328,32 @@ ARGUMENTS = (
 
 @kernel(types.void(*ARGUMENTS))
 def ekf(kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covariances):
-    """EKF of each replication: means (R, T, 3) and covariances (R, T, 3, 3) from measurements Y (R, T, m).
+    """EKF of each replication: means (R, T, 3) and covariances (R, T, 3, 3) from measurements Y (R,
+    T, m).
 
-    x0 (R, n), P0, F, Q (n, n); quality (R, T, m) nominal variances; anchors (R|1, B, ...); `table` (181, 2) of
-    variances for AZEL_ADAPTIVE.
+    x0 (R, n), P0, F, Q (n, n); quality (R, T, m) nominal variances; anchors (R|1, B, ...); `table`
+    (181, 2) of variances for AZEL_ADAPTIVE.
     """
     (R, T, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
     d = m // B
     x, Fx, b = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((n, TILE))
-    P, FP, M, V = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
+    P, FP, M, V = (
+        np.empty((n, n, TILE)),
+        np.empty((n, n, TILE)),
+        np.empty((n, n, TILE)),
+        np.empty((n, n, TILE)),
+    )
     L, G = np.empty((n, n, TILE)), np.empty((n, n, TILE))
     s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
     local, c, h = np.empty((3, TILE)), np.empty((3, TILE)), np.empty((3, 3, TILE))
     A, g, AL = np.empty((3, 3, TILE)), np.empty((3, TILE)), np.empty((3, n, TILE))
-    y, nominal, var, v, W = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
+    y, nominal, var, v, W = (
+        np.empty(TILE),
+        np.empty(TILE),
+        np.empty(TILE),
+        np.empty(TILE),
+        np.empty(TILE),
+    )
     for start in range(0, R, TILE):
         load(x0, start, x)
         load(position, start, s)
@@ -369,16 +401,36 @@ def ekf(kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covari
 
 
 @kernel(types.void(*ARGUMENTS, types.float64, types.intp))
-def ukf(kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covariances, lambda_, form):
-    """UKF of each replication with 2 n + 1 sigma points; `form` AVERAGED or CENTRE, the rest as for `ekf`."""
+def ukf(
+    kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covariances, lambda_, form
+):
+    """UKF of each replication with 2 n + 1 sigma points; `form` AVERAGED or CENTRE, the rest as for
+    `ekf`.
+    """
     (R, T, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
     d, S = m // B, 2 * n + 1
     x, Fx = np.empty((n, TILE)), np.empty((n, TILE))
-    P, FP, L, Lt = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
+    P, FP, L, Lt = (
+        np.empty((n, n, TILE)),
+        np.empty((n, n, TILE)),
+        np.empty((n, n, TILE)),
+        np.empty((n, n, TILE)),
+    )
     point, V, b = np.empty((S, n, TILE)), np.empty((S, n, TILE)), np.empty((S, TILE))
-    M, G, image, z = np.empty((S, S, TILE)), np.empty((S, S, TILE)), np.empty((S, 3, TILE)), np.empty((S, TILE))
+    M, G, image, z = (
+        np.empty((S, S, TILE)),
+        np.empty((S, S, TILE)),
+        np.empty((S, 3, TILE)),
+        np.empty((S, TILE)),
+    )
     s, rot, local = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE)), np.empty((3, TILE))
-    y, nominal, var, v, W = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
+    y, nominal, var, v, W = (
+        np.empty(TILE),
+        np.empty(TILE),
+        np.empty(TILE),
+        np.empty(TILE),
+        np.empty(TILE),
+    )
     one, mean, expected = np.empty(TILE), np.empty(TILE), np.empty(TILE)
     weight = np.full(S, 0.5 / (n + lambda_))
     weight[0] = lambda_ / (n + lambda_)

@@ -1,13 +1,15 @@
 """Bootstrap particle filter for any measurement model with a likelihood.
 
-Weights live as logarithms: kappa = 1e6 and many steps without resampling do not underflow [Nurminen 2018, Alg. 1]:
+Weights live as logarithms: kappa = 1e6 and many steps without resampling do not underflow [Nurminen
+2018, Alg. 1]:
 
     x_k^i ~ N(F x_{k-1}^i, Q),   log w_k^i = log w_{k-1}^i + log p(y_k | x_k^i),   x_k = sum_i w_k^i x_k^i
 
 and where 1 / sum_i (w_k^i)^2 < `resample_below` N, the particles are resampled systematically.
 
-`ParticleFilter` has it twice: as the readable reference in NumPy and double precision, and as a compiled kernel in
-single precision (`particle_kernels.py`) for the measurement models that name one.
+`ParticleFilter` has it twice: as the readable reference in NumPy and double precision, and as a
+compiled kernel in single precision (`particle_kernels.py`) for the measurement models that name
+one.
 """
 
 from __future__ import annotations
@@ -30,17 +32,21 @@ if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash
     from aoabench.filters import particle_kernels  # noqa: F401
 
 KERNELS = "filters.particle_kernels"
-SHARED_BYTES = 2**26  # the normals of one replication are kept for the next filter if they fit into this
+SHARED_BYTES = (
+    2**26
+)  # the normals of one replication are kept for the next filter if they fit into this
 
 
 @dataclass(frozen=True)
 class ParticleFilter:
-    """`particles` > 0 of them; resampled where the effective number falls below the fraction `resample_below`.
+    """`particles` > 0 of them; resampled where the effective number falls below the fraction
+    `resample_below`.
 
-    Every draw depends on the replication alone, never on the weights: all particle filters of one replication move
-    their particles by the same noise. `engine`: `auto` takes the compiled kernel where there is one for the measurement
-    model and the state is the position; `numpy` never does, and has draws of its own; `double` is `numpy` along the
-    kernel's draws, to see what single precision does.
+    Every draw depends on the replication alone, never on the weights: all particle filters of one
+    replication move their particles by the same noise. `engine`: `auto` takes the compiled kernel
+    where there is one for the measurement model and the state is the position; `numpy` never does,
+    and has draws of its own; `double` is `numpy` along the kernel's draws, to see what single
+    precision does.
     """
 
     measurement: Measurement
@@ -62,18 +68,22 @@ class ParticleFilter:
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Posterior means (R, T, 3) m and covariances (R, T, 3, 3) m^2.
 
-        A step whose likelihood is 0 (or NaN) at every particle tells nothing: the particles keep their weights, and the
-        fix is `diverged`.
+        A step whose likelihood is 0 (or NaN) at every particle tells nothing: the particles keep
+        their weights, and the fix is `diverged`.
         """
         if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
-            raise BadValue("filter", type(self).__name__, "a scenario with a motion model and a prior")
+            raise BadValue(
+                "filter", type(self).__name__, "a scenario with a motion model and a prior"
+            )
         found = self._each(batch, scenario, streams)
         position, outcome = np.stack([one[0] for one in found]), np.stack([one[2] for one in found])
         outcome[~np.isfinite(position).all(-1)] = Outcome.FAILED
         return Estimates(position, np.stack([one[1] for one in found]), None, outcome)
 
     def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
-        """Effective numbers of particles `ess` (R, T) and innovations (R, T) at the predicted mean, by component."""
+        """Effective numbers of particles `ess` (R, T) and innovations (R, T) at the predicted mean,
+        by component.
+        """
         found = self._each(batch, scenario, streams)
         columns = {"ess": np.stack([one[3] for one in found])}
         F, _ = scenario.motion.matrices(scenario.dt)
@@ -81,12 +91,18 @@ class ParticleFilter:
             h, means = self.measurement, np.stack([one[0] for one in found])
             Y, _ = h.observe(batch)
             x = np.concatenate([np.asarray(batch.prior_mean)[:, None], means[:, :-1]], axis=1) @ F.T
-            seen = [h.residual(Y[:, k], h.predict(x[:, k], batch.anchors)) for k in range(Y.shape[1])]
+            seen = [
+                h.residual(Y[:, k], h.predict(x[:, k], batch.anchors)) for k in range(Y.shape[1])
+            ]
             columns |= innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
         return columns
 
-    def _each(self, batch: Batch, scenario: Any, streams: Streams) -> list[tuple[Array, Array, np.ndarray, Array]]:
-        """Per replication means (T, 3), covariances (T, 3, 3), outcomes (T,), effective numbers (T,)."""
+    def _each(
+        self, batch: Batch, scenario: Any, streams: Streams
+    ) -> list[tuple[Array, Array, np.ndarray, Array]]:
+        """Per replication means (T, 3), covariances (T, 3, 3), outcomes (T,), effective numbers
+        (T,).
+        """
         Y, quality = self.measurement.observe(batch)
         F, Q = scenario.motion.matrices(scenario.dt)
         kind = kind_of(self.measurement, self.engine) if len(F) == 3 else None
@@ -115,12 +131,17 @@ class ParticleFilter:
     ) -> tuple[Array, Array, np.ndarray, Array]:
         """One replication in NumPy: what `_each` says of it, from Y, quality (T, m).
 
-        `chosen` (T, 2, N): parents that somebody else chose by weights q, -1 where nobody did; children keep w / q.
+        `chosen` (T, 2, N): parents that somebody else chose by weights q, -1 where nobody did;
+        children keep w / q.
         """
         assert batch.prior_mean is not None
         assert batch.prior_cov is not None
         (T, _), N, n = Y.shape, self.particles, len(F)
-        position, covariance, outcome = np.empty((T, 3)), np.empty((T, 3, 3)), np.full(T, Outcome.OK, dtype=np.int8)
+        position, covariance, outcome = (
+            np.empty((T, 3)),
+            np.empty((T, 3, 3)),
+            np.full(T, Outcome.OK, dtype=np.int8),
+        )
         effective = np.empty(T)
         root_Q, root_P = np.linalg.cholesky(Q), np.linalg.cholesky(batch.prior_cov)
         anchors = batch.anchors.of(i)
@@ -188,16 +209,20 @@ class ParticleFilter:
     def _along_the_kernel(
         self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, streams: Streams
     ) -> tuple[Array, Array, np.ndarray, Array]:
-        """The replication in double precision with the kernel's draws and the parents that the kernel chose.
+        """The replication in double precision with the kernel's draws and the parents that the
+        kernel chose.
 
-        Resampled particles carry the ratio of the weights in double and in single precision, so this is a particle
-        filter in its own right; what differs from the kernel is rounding alone. Left to itself it would choose another
-        parent at the first tie of last bits, and drift apart by as much as two filters with different seeds.
+        Resampled particles carry the ratio of the weights in double and in single precision, so
+        this is a particle filter in its own right; what differs from the kernel is rounding alone.
+        Left to itself it would choose another parent at the first tie of last bits, and drift apart
+        by as much as two filters with different seeds.
         """
         kind = kind_of(self.measurement) if len(F) == 3 else None
         compiled = None if kind is None else kernels.load(KERNELS)
         if kind is None or compiled is None:
-            raise BadValue("engine", "double", "auto or numpy where there is no kernel, or no numba")
+            raise BadValue(
+                "engine", "double", "auto or numpy where there is no kernel, or no numba"
+            )
         chosen = np.full((len(Y), 2, self.particles), -1.0, dtype=np.float32)
         self._compiled(compiled, kind, batch, i, F, Q, Y, quality, streams, chosen)
         draws = _KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[i])
@@ -205,7 +230,9 @@ class ParticleFilter:
 
 
 class _Shared(threading.local):
-    """The normals that this thread drew last; the filters of one replication ask for the same ones in turn."""
+    """The normals that this thread drew last; the filters of one replication ask for the same ones
+    in turn.
+    """
 
     key: tuple[Any, ...] = ()
     memory = np.empty(0, dtype=np.float32)
@@ -214,8 +241,11 @@ class _Shared(threading.local):
 _shared = _Shared()
 
 
-def shared_normals(compiled: ModuleType, key: tuple[int, int], replication: int, planes: int, particles: int) -> Any:
-    """Standard normals (planes, 3, M), float32, of one replication, M = `particles` rounded up to whole tiles.
+def shared_normals(
+    compiled: ModuleType, key: tuple[int, int], replication: int, planes: int, particles: int
+) -> Any:
+    """Standard normals (planes, 3, M), float32, of one replication, M = `particles` rounded up to
+    whole tiles.
 
     Where they would take too much memory, (1, 3, M) for the kernel to draw them into, step by step.
     """
@@ -249,7 +279,9 @@ class _KernelDraws:
 
     def standard_normal(self, shape: tuple[int, int]) -> Array:
         """The next plane of normals, (N, 3)."""
-        plane = np.empty((3, -(-shape[0] // self.compiled.TILE) * self.compiled.TILE), dtype=np.float32)
+        plane = np.empty(
+            (3, -(-shape[0] // self.compiled.TILE) * self.compiled.TILE), dtype=np.float32
+        )
         self.compiled.normals(plane, self.normals, self.replication, *self.key)
         self.normals += 1
         return plane[:, : shape[0]].T.astype(float)
@@ -261,7 +293,8 @@ class _KernelDraws:
 
 
 def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) -> np.ndarray:
-    """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal variances (T, m).
+    """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal
+    variances (T, m).
 
     See `particle_kernels.loglik`; what is not measured (NaN) gets the weight 0.
     """
@@ -286,7 +319,8 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
 
 
 def weights_table(measurement: Measurement) -> np.ndarray:
-    """w = 1 / (2 variance) and then log(w) / 2, each of azimuth and elevation in turn, at -90, -89 ... 90 degrees.
+    """w = 1 / (2 variance) and then log(w) / 2, each of azimuth and elevation in turn, at -90, -89
+    ... 90 degrees.
 
     (724,) float32.
     """
@@ -295,7 +329,8 @@ def weights_table(measurement: Measurement) -> np.ndarray:
 
 
 def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:
-    """Normalised log weights and weights (N,) after a likelihood (N,), and whether it told anything.
+    """Normalised log weights and weights (N,) after a likelihood (N,), and whether it told
+    anything.
 
     A NaN likelihood counts as 0. Where no particle is left, the weights stay as they were.
     """
@@ -310,10 +345,11 @@ def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:
 
 
 def systematic(w: Array, turn: float) -> np.ndarray:
-    """Ancestors (N,) by systematic resampling of weights w (N,), sum 1, with one uniform `turn` in [0, 1).
+    """Ancestors (N,) by systematic resampling of weights w (N,), sum 1, with one uniform `turn` in
+    [0, 1).
 
-    Particle i gets floor(N w_i) or one more children, N w_i of them in the mean. O(N): how many of the points
-    (j + turn) / N, j = 0 ... N-1, lie below each cumulative weight.
+    Particle i gets floor(N w_i) or one more children, N w_i of them in the mean. O(N): how many of
+    the points (j + turn) / N, j = 0 ... N-1, lie below each cumulative weight.
     """
     N = len(w)
     below = np.ceil(N * np.cumsum(w) - turn)

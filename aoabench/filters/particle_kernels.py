@@ -10,8 +10,8 @@ The arithmetic is `filters/particle.py`'s. What differs is the order and the pre
   no calls inside, arrays contiguous, constant length.
 - sums of weights are single precision within a tile and double over tiles; cumulative weights are double.
 
-Whoever changes this file: kernels may use nothing but this file (the cache on disk sees only its own), and
-`tests/theory/test_particle_kernels.py` reads the generated machine code.
+Whoever changes this file: kernels may use nothing but this file (the cache on disk sees only its
+own), and `tests/theory/test_particle_kernels.py` reads the generated machine code.
 """
 
 from __future__ import annotations
@@ -37,12 +37,15 @@ TERMS = 15  # columns of the table of coefficients; see `loglik`
 LONELY = 1.00001  # an effective number of particles that has no covariance
 
 f4, f8, i4, u4, u8 = np.float32, np.float64, np.int32, np.uint32, np.uint64
-# contract: fused multiply-add; reassoc, nsz: sums in lanes; no flag may assume that infinities do not occur
+# contract: fused multiply-add; reassoc, nsz: sums in lanes; no flag may assume that infinities do
+# not occur
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
 
 
 def kernel(signature: str) -> Callable[[Callable], Callable]:
-    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be written."""
+    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be
+    written.
+    """
 
     def compile_(function: Callable) -> Callable:
         try:
@@ -59,13 +62,17 @@ inlined = njit(forceinline=True, **OPTIONS)
 @intrinsic
 def as_float(typingctx: Any, bits: Any) -> Any:
     """The float32 whose bits are those of an int32."""
-    return types.float32(types.int32), lambda c, builder, s, a: builder.bitcast(a[0], ir.FloatType())
+    return types.float32(types.int32), lambda c, builder, s, a: builder.bitcast(
+        a[0], ir.FloatType()
+    )
 
 
 @intrinsic
 def as_int(typingctx: Any, x: Any) -> Any:
     """The bits of a float32 as int32."""
-    return types.int32(types.float32), lambda c, builder, s, a: builder.bitcast(a[0], ir.IntType(32))
+    return types.int32(types.float32), lambda c, builder, s, a: builder.bitcast(
+        a[0], ir.IntType(32)
+    )
 
 
 @intrinsic
@@ -81,7 +88,9 @@ def larger(typingctx: Any, a: Any, b: Any) -> Any:
 
 @intrinsic
 def stack(typingctx: Any, size: Any) -> Any:
-    """`size` float32 on the stack: nothing else can point there, so loops need no check for overlaps."""
+    """`size` float32 on the stack: nothing else can point there, so loops need no check for
+    overlaps.
+    """
     if not isinstance(size, types.IntegerLiteral):
         return None  # the compiler asks again with the constant
     n = size.literal_value
@@ -98,13 +107,17 @@ def stack(typingctx: Any, size: Any) -> Any:
 def copy_pair(typingctx: Any, source: Any, i: Any, target: Any, k: Any) -> Any:
     """target[2 k], target[2 k + 1] = source[2 i], source[2 i + 1] in one go of 64 bits.
 
-    The load is atomic to keep the compiler from gathering, which is several times slower than what it replaces.
+    The load is atomic to keep the compiler from gathering, which is several times slower than what
+    it replaces.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pair = ir.IntType(64).as_pointer()
         of = [
-            builder.bitcast(context.make_array(signature.args[m])(context, builder, args[m]).data, pair) for m in (0, 2)
+            builder.bitcast(
+                context.make_array(signature.args[m])(context, builder, args[m]).data, pair
+            )
+            for m in (0, 2)
         ]
         value = builder.load_atomic(builder.gep(of[0], [args[1]]), "monotonic", 8)
         builder.store(value, builder.gep(of[1], [args[3]]))
@@ -113,29 +126,59 @@ def copy_pair(typingctx: Any, source: Any, i: Any, target: Any, k: Any) -> Any:
     return types.void(source, types.int32, target, types.intp), generate
 
 
-# ---------------------------------------------------------------- polynomials, minimax over the range that is stated
+# ---------------------------------------------------------------- polynomials, minimax over the ran
 
 ZERO, HALF, ONE, FOUR = f4(0.0), f4(0.5), f4(1.0), f4(4.0)
-LOWEST = f4(-40.0)  # smaller weights would not be seen beside the largest, 1, and their squares would be denormal
+LOWEST = f4(
+    -40.0
+)  # smaller weights would not be seen beside the largest, 1, and their squares would be denormal
 HALF_PI, PI, LOG2, LOG2E = f4(math.pi / 2), f4(math.pi), f4(math.log(2.0)), f4(1.0 / math.log(2.0))
 TINY = f4(1e-30)  # m^2 or m: a particle on its anchor, or on its pole
 
 _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7 = (
     f4(c)
-    for c in (0.999999901, -0.3333199075, 0.1996972389, -0.1401948087, 0.09914292764, -0.05948639267, 0.024252403)
+    for c in (
+        0.999999901,
+        -0.3333199075,
+        0.1996972389,
+        -0.1401948087,
+        0.09914292764,
+        -0.05948639267,
+        0.024252403,
+    )
     + (-0.004693276039,)
 )
 _E0, _E1, _E2, _E3, _E4, _E5 = (
-    f4(c) for c in (1.000000072, 0.6931469671, 0.2402211972, 0.05550713272, 0.009675541343, 0.001327647263)
+    f4(c)
+    for c in (
+        1.000000072,
+        0.6931469671,
+        0.2402211972,
+        0.05550713272,
+        0.009675541343,
+        0.001327647263,
+    )
 )
 _L0, _L1, _L2, _L3, _L4, _L5, _L6, _L7 = (
     f4(c)
-    for c in (0.9999999453, -0.5000036512, 0.3333505894, -0.2496990914, 0.1990016553, -0.1725082891, 0.162225804)
+    for c in (
+        0.9999999453,
+        -0.5000036512,
+        0.3333505894,
+        -0.2496990914,
+        0.1990016553,
+        -0.1725082891,
+        0.162225804,
+    )
     + (-0.1010689832,)
 )
 _S0, _S1, _S2, _S3 = (f4(c) for c in (1.570796322, -0.6459634602, 0.07968003277, -0.004601657891))
 _C0, _C1, _C2, _C3 = (f4(c) for c in (0.9999999724, -1.233697014, 0.2535986441, -0.02040835251))
-_BIAS, _FRACTION, _ROOT_HALF = i4(127), i4(0x007FFFFF), i4(0x3F3504F3)  # the float32 format; the bits of sqrt(1/2)
+_BIAS, _FRACTION, _ROOT_HALF = (
+    i4(127),
+    i4(0x007FFFFF),
+    i4(0x3F3504F3),
+)  # the float32 format; the bits of sqrt(1/2)
 _0, _1, _23, _31, _180 = i4(0), i4(1), i4(23), i4(31), i4(180)
 DEGREES, NINETY = f4(180.0 / math.pi), f4(90.0)
 
@@ -144,7 +187,9 @@ DEGREES, NINETY = f4(180.0 / math.pi), f4(90.0)
 def arctan(t):
     """atan(t), 0 <= t <= 1; relative error below 2.5e-7."""
     u = t * t
-    return t * (_A0 + u * (_A1 + u * (_A2 + u * (_A3 + u * (_A4 + u * (_A5 + u * (_A6 + u * _A7)))))))
+    return t * (
+        _A0 + u * (_A1 + u * (_A2 + u * (_A3 + u * (_A4 + u * (_A5 + u * (_A6 + u * _A7))))))
+    )
 
 
 @inlined
@@ -170,7 +215,9 @@ def logarithm(x):
 
 @inlined
 def circle(k):
-    """A point (sin, cos) of the unit circle from 32 random bits: the quarter from two of them, the angle in it."""
+    """A point (sin, cos) of the unit circle from 32 random bits: the quarter from two of them, the
+    angle in it.
+    """
     q = i4(k >> u4(30))
     f = f4(i4(k & u4(0x3FFFFFFF))) * f4(2.0**-30) - HALF
     u = f * f
@@ -179,7 +226,9 @@ def circle(k):
     odd = i4(q & _1) != 0
     a = c if odd else s
     b = s if odd else c
-    return as_float(i4(as_int(a) ^ i4(i4(q >> _1) << _31))), as_float(i4(as_int(b) ^ i4(i4(i4(q + _1) >> _1) << _31)))
+    return as_float(i4(as_int(a) ^ i4(i4(q >> _1) << _31))), as_float(
+        i4(as_int(b) ^ i4(i4(i4(q + _1) >> _1) << _31))
+    )
 
 
 @inlined
@@ -188,7 +237,7 @@ def radius(k):
     return math.sqrt(f4(-2.0) * logarithm((f4(k) + HALF) * f4(2.0**-32)))
 
 
-# ---------------------------------------------------------------------------------------------------- random numbers
+# --------------------------------------------------------------------------------------------------
 
 _WORD, _SHIFT = u8(0xFFFFFFFF), u8(32)
 _M0, _M1, _W0, _W1 = u8(0xD2511F53), u8(0xCD9E8D57), u8(0x9E3779B9), u8(0xBB67AE85)
@@ -196,7 +245,9 @@ _M0, _M1, _W0, _W1 = u8(0xD2511F53), u8(0xCD9E8D57), u8(0x9E3779B9), u8(0xBB67AE
 
 @inlined
 def philox(c0, c1, c2, c3, k0, k1):
-    """Four words of 32 random bits for a counter of four words and a key of two, all held in uint64."""
+    """Four words of 32 random bits for a counter of four words and a key of two, all held in
+    uint64.
+    """
     for _ in range(10):
         p0, p1 = _M0 * c0, _M1 * c2
         c0, c1, c2, c3 = (p1 >> _SHIFT) ^ c1 ^ k0, p1 & _WORD, (p0 >> _SHIFT) ^ c3 ^ k1, p0 & _WORD
@@ -236,7 +287,7 @@ def turn(step, replication, k0, k1):
     return f8(philox(u8(0), step, replication, u8(TURNS), k0, k1)[0]) * 2.0**-32
 
 
-# -------------------------------------------------------------------------------------- likelihoods, one tile at a time
+# -------------------------------------------------------------------------------------- likelihoods
 
 
 @inlined
@@ -248,7 +299,8 @@ def first_quadrant(y, x):
 
 @inlined
 def turned(x, y, z, t, out):
-    """One tile's particles in the turned frame of the anchor with terms t, into the first three tiles of out.
+    """One tile's particles in the turned frame of the anchor with terms t, into the first three
+    tiles of out.
 
     A loop of its own: together with `angles` its constants would not fit into the registers.
     """
@@ -275,7 +327,23 @@ def loglik_tile(kind, x, y, z, terms, table, out, scratch):
         out[i] = ZERO
     for j in range(terms.shape[0]):
         r = terms[j]
-        t = (r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13], r[14])
+        t = (
+            r[0],
+            r[1],
+            r[2],
+            r[3],
+            r[4],
+            r[5],
+            r[6],
+            r[7],
+            r[8],
+            r[9],
+            r[10],
+            r[11],
+            r[12],
+            r[13],
+            r[14],
+        )
         if kind == UNIT_VECTOR:
             for i in range(TILE):
                 px, py, pz = x[i] - t[0], y[i] - t[1], z[i] - t[2]
@@ -310,9 +378,11 @@ def loglik_tile(kind, x, y, z, terms, table, out, scratch):
 
 @kernel("void(i8, f4[::1], f4[::1], f4[::1], f4[:,::1], f4[::1], f4[::1])")
 def loglik(kind, x, y, z, terms, table, out):
-    """Log likelihood of one step, less what is the same for all particles, into out (N,), N a multiple of TILE.
+    """Log likelihood of one step, less what is the same for all particles, into out (N,), N a
+    multiple of TILE.
 
-    x, y, z (N,) m relative to the origin. One row of `terms` (B, TERMS) for each anchor; its position first, then
+    x, y, z (N,) m relative to the origin. One row of `terms` (B, TERMS) for each anchor; its
+    position first, then
 
     - UNIT_VECTOR: the measured direction in the global frame, kappa / 2
     - AZEL: the rotation into the anchor's frame turned by the measured azimuth, the measured elevation,
@@ -322,12 +392,14 @@ def loglik(kind, x, y, z, terms, table, out):
     """
     tile, scratch = carray(stack(TILE), TILE), carray(stack(SCRATCH), SCRATCH)
     for o in range(0, len(x), TILE):
-        loglik_tile(kind, x[o : o + TILE], y[o : o + TILE], z[o : o + TILE], terms, table, tile, scratch)
+        loglik_tile(
+            kind, x[o : o + TILE], y[o : o + TILE], z[o : o + TILE], terms, table, tile, scratch
+        )
         for i in range(TILE):
             out[o + i] = tile[i]
 
 
-# ------------------------------------------------------------------------------------------------------- the recursion
+# --------------------------------------------------------------------------------------------------
 
 
 @inlined
@@ -343,7 +415,9 @@ def move(x, y, z, n0, n1, n2, F, b, L):
 
 @inlined
 def weigh(x, y, z, log_w, w, top, c):
-    """Weights of one tile, relative to the largest one's logarithm `top`; their sum, their squares', first moments."""
+    """Weights of one tile, relative to the largest one's logarithm `top`; their sum, their
+    squares', first moments.
+    """
     a = a2 = ax = ay = az = ZERO
     for i in range(TILE):
         l = log_w[i] - top
@@ -376,19 +450,22 @@ def squares(x, y, z, w, c):
 
 @inlined
 def first_children(cumulative, scale, offset, end, first):
-    """The places where particles i + 1 have their first child, at most `end`; `cumulative` begins at `offset`."""
+    """The places where particles i + 1 have their first child, at most `end`; `cumulative` begins
+    at `offset`.
+    """
     for i in range(len(cumulative)):
         first[i] = min(i4(math.ceil(cumulative[i] * scale + offset)), end)
 
 
 @kernel("void(f4[::1], i8, f8, f8[::1], i4[::1], f4[::1], f4[:,::1], f4[:,::1])")
 def resample(w, N, uniform, cumulative, first, parent, x, children):
-    """Systematic resampling of particles x (3, M) with weights w (M,), 0 from N on, and one uniform in [0, 1).
+    """Systematic resampling of particles x (3, M) with weights w (M,), 0 from N on, and one uniform
+    in [0, 1).
 
-    Particle i + 1 has its first child where the weights up to i end. Of several with the same place the last one has
-    it, the others have no children; a running maximum finds the parent of the other children. Without a branch that
-    could be mispredicted: the numbers of parents are float32, exact to 2^24. `cumulative`, `first` (M,), `parent`
-    (M + 1,): scratch.
+    Particle i + 1 has its first child where the weights up to i end. Of several with the same place
+    the last one has it, the others have no children; a running maximum finds the parent of the
+    other children. Without a branch that could be mispredicted: the numbers of parents are float32,
+    exact to 2^24. `cumulative`, `first` (M,), `parent` (M + 1,): scratch.
     """
     q = len(w) // 4
     c0 = c1 = c2 = c3 = 0.0  # four quarters at once: sums that need not wait for each other
@@ -406,7 +483,9 @@ def resample(w, N, uniform, cumulative, first, parent, x, children):
     scale, end = N / (c2 + c3), i4(N)
     first_children(cumulative[:q], scale, -uniform, end, first[:q])
     first_children(cumulative[q : 2 * q], scale, c0 * scale - uniform, end, first[q : 2 * q])
-    first_children(cumulative[2 * q : 3 * q], scale, c1 * scale - uniform, end, first[2 * q : 3 * q])
+    first_children(
+        cumulative[2 * q : 3 * q], scale, c1 * scale - uniform, end, first[2 * q : 3 * q]
+    )
     first_children(cumulative[3 * q :], scale, c2 * scale - uniform, end, first[3 * q :])
     parent[:] = ZERO
     for i in range(N - 1):
@@ -433,13 +512,31 @@ def flat(A):
     "void(i8, i8, f4[:,:,::1], u8, u8, u8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f4[:,:,::1], f4[::1], f8,"
     "f8[:,::1], f4[:,:,::1])"
 )
-def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table, resample_below, out, chosen):
-    """One replication: posterior means, covariances and effective numbers of particles into out (T, 13).
+def lap(
+    kind,
+    N,
+    noise,
+    replication,
+    k0,
+    k1,
+    F,
+    b,
+    root_Q,
+    root_P,
+    terms,
+    table,
+    resample_below,
+    out,
+    chosen,
+):
+    """One replication: posterior means, covariances and effective numbers of particles into out (T,
+    13).
 
-    `terms` (T, B, TERMS) and `table` as for `loglik`; positions relative to the prior's mean, with theta = F theta + b
-    + n. `noise` (T + 1, 3, M), M the padded N, holds the normals of the prior and of each step; with (1, 3, M) they are
-    drawn here. `chosen` (T, 2, N) receives, at each step that ends in resampling, every particle's parent and the
-    weights that parents were chosen by; with (0, 2, N) nobody asks.
+    `terms` (T, B, TERMS) and `table` as for `loglik`; positions relative to the prior's mean, with
+    theta = F theta + b + n. `noise` (T + 1, 3, M), M the padded N, holds the normals of the prior
+    and of each step; with (1, 3, M) they are drawn here. `chosen` (T, 2, N) receives, at each step
+    that ends in resampling, every particle's parent and the weights that parents were chosen by;
+    with (0, 2, N) nobody asks.
     """
     M = noise.shape[2]
     T = terms.shape[0]
@@ -489,7 +586,14 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
         for o in range(0, M, TILE):
             s = slice(o, o + TILE)
             axx, axy, axz, ayy, ayz, azz = squares(x[s], y[s], z[s], w[s], c)
-            Sxx, Sxy, Sxz, Syy, Syz, Szz = Sxx + axx, Sxy + axy, Sxz + axz, Syy + ayy, Syz + ayz, Szz + azz
+            Sxx, Sxy, Sxz, Syy, Syz, Szz = (
+                Sxx + axx,
+                Sxy + axy,
+                Sxz + axz,
+                Syy + ayy,
+                Syz + ayz,
+                Szz + azz,
+            )
         row = out[k]
         row[0], row[1], row[2], row[12] = mx, my, mz, effective
         if effective < LONELY:  # what is left are rounding errors
@@ -499,7 +603,16 @@ def lap(kind, N, noise, replication, k0, k1, F, b, root_Q, root_P, terms, table,
         row[5] = row[9] = Sxz / S
         row[8] = row[10] = Syz / S
         if effective < resample_below * N:
-            resample(w, N, turn(u8(k + 1), replication, k0, k1), cumulative, first, parent, particles, children)
+            resample(
+                w,
+                N,
+                turn(u8(k + 1), replication, k0, k1),
+                cumulative,
+                first,
+                parent,
+                particles,
+                children,
+            )
             particles, children = children, particles
             log_w[:N] = ZERO
             if chosen.shape[0] > 0:

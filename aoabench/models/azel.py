@@ -1,4 +1,5 @@
-"""Azimuth-elevation (AE) measurement models: nominal, fitted and adaptive deviations [Nurminen 2018, (4), IV-A].
+"""Azimuth-elevation (AE) measurement models: nominal, fitted and adaptive deviations [Nurminen
+2018, (4), IV-A].
 
 Components in anchor order: azimuth and elevation of anchor 1, of anchor 2, ... in rad.
 """
@@ -22,7 +23,9 @@ _RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative on the pole axis, wh
 
 @dataclass(frozen=True)
 class AzEl:
-    """AE model with constant deviations: `sigma_deg` (0, 180], or null for what each measurement states itself."""
+    """AE model with constant deviations: `sigma_deg` (0, 180], or null for what each measurement
+    states itself.
+    """
 
     sigma_deg: float | None = None
     kernel: ClassVar[str] = "azel"
@@ -41,7 +44,11 @@ class AzEl:
         if own is not None:
             r = np.tile(np.square(own), (*y.shape[:2], batch.azimuth.shape[2]))
         elif batch.azimuth_sigma is None or batch.elevation_sigma is None:
-            raise BadValue("sigma_deg", None, "a number, because these measurements do not state their deviations")
+            raise BadValue(
+                "sigma_deg",
+                None,
+                "a number, because these measurements do not state their deviations",
+            )
         else:
             r = interleave((batch.azimuth_sigma, batch.elevation_sigma)) ** 2
         return with_quality(y, r)
@@ -76,18 +83,23 @@ class AzEl:
         return quality
 
     def loglik(self, x: Array, anchors: Anchors, y: Array, quality: Array) -> Array:
-        """Log likelihood (R, ...): independent normals of the wrapped residuals; NaN components are left out."""
+        """Log likelihood (R, ...): independent normals of the wrapped residuals; NaN components are
+        left out.
+        """
         expected = self.predict(x, anchors)
         r = self.covariance_of(expected, per_step(quality, x))
-        return over_measured(-0.5 * (self.residual(per_step(y, x), expected) ** 2 / r + np.log(2 * np.pi * r)), y, x)
+        return over_measured(
+            -0.5 * (self.residual(per_step(y, x), expected) ** 2 / r + np.log(2 * np.pi * r)), y, x
+        )
 
 
 @dataclass(frozen=True)
 class AzElFitted(AzEl):
     """AE model with the deviations fitted to the data's noise over uniform directions.
 
-    `fit: own` computes them; `fit: printed` takes the paper's pair where it prints one (sigma = 10 deg: 18 and 10 deg
-    with Model I, 21 and 10 deg with Model II; erratum N12) and computes them elsewhere.
+    `fit: own` computes them; `fit: printed` takes the paper's pair where it prints one (sigma = 10
+    deg: 18 and 10 deg with Model I, 21 and 10 deg with Model II; erratum N12) and computes them
+    elsewhere.
     """
 
     fit: str = "printed"
@@ -98,7 +110,9 @@ class AzElFitted(AzEl):
         super().__post_init__()
         check_choice("fit", self.fit, ("printed", "own"))
         if not hasattr(self.noise, "fitted"):
-            raise BadValue("noise", type(self.noise).__name__, "an angular noise: ae_flip, ae_normal or vmf")
+            raise BadValue(
+                "noise", type(self.noise).__name__, "an angular noise: ae_flip, ae_normal or vmf"
+            )
 
     def sigmas(self) -> tuple[float, float]:
         """Deviations (azimuth, elevation) in rad."""
@@ -112,7 +126,8 @@ class AzElFitted(AzEl):
 
 @lru_cache(maxsize=32)
 def adaptive_table(sigma: float) -> tuple[Array, Array]:
-    """Deviations (azimuth, elevation), each (181,) rad, of Model I at -90, -89 ... 90 degrees [Nurminen 2018, Fig. 1].
+    """Deviations (azimuth, elevation), each (181,) rad, of Model I at -90, -89 ... 90 degrees
+    [Nurminen 2018, Fig. 1].
 
     `sigma` is the nominal deviation in rad; both are root mean squares about the truth.
     """
@@ -122,7 +137,9 @@ def adaptive_table(sigma: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class AzElAdaptive(AzEl):
-    """AE model whose deviations follow the elevation: Model I's, looked up in a table of one-degree steps."""
+    """AE model whose deviations follow the elevation: Model I's, looked up in a table of one-degree
+    steps.
+    """
 
     noise: Any = None
     kernel: ClassVar[str] = "azel_adaptive"
@@ -130,7 +147,9 @@ class AzElAdaptive(AzEl):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.sigma_deg is None and not hasattr(self.noise, "sigma"):
-            raise BadValue("noise", type(self.noise).__name__, "an angular noise: ae_flip, ae_normal or vmf")
+            raise BadValue(
+                "noise", type(self.noise).__name__, "an angular noise: ae_flip, ae_normal or vmf"
+            )
 
     def nominal(self) -> float:
         """The deviation in rad that the table is made for."""
@@ -141,13 +160,17 @@ class AzElAdaptive(AzEl):
         return self.nominal(), self.nominal()
 
     def covariance_of(self, expected: Array, quality: Array) -> Array:
-        """Variances (R, ..., 2B) rad^2 at the expected elevations, by the nearest degree; at NaN those of 0."""
+        """Variances (R, ..., 2B) rad^2 at the expected elevations, by the nearest degree; at NaN
+        those of 0.
+        """
         index = np.rint(np.rad2deg(expected[..., 1::2]) + 90.0)
         index = np.nan_to_num(index, nan=90.0).astype(np.intp)
         return interleave(tuple(table[index] for table in _adaptive_variances(self.nominal())))
 
     def variances(self) -> Array:
-        """The table (181, 2) rad^2 of azimuth's and elevation's variances at -90, -89 ... 90 degrees."""
+        """The table (181, 2) rad^2 of azimuth's and elevation's variances at -90, -89 ... 90
+        degrees.
+        """
         return np.stack(_adaptive_variances(self.nominal()), axis=-1)
 
 

@@ -18,7 +18,9 @@ def interleave(parts: Sequence[Array]) -> Array:
 
 
 def into_state(block: Array, n: int) -> Array:
-    """Derivatives (..., B, d, 3) by the position to (..., B d, n) by the state, whose first three are the position."""
+    """Derivatives (..., B, d, 3) by the position to (..., B d, n) by the state, whose first three
+    are the position.
+    """
     J = block.reshape(*block.shape[:-3], -1, 3)
     return J if n == 3 else np.concatenate([J, np.zeros((*J.shape[:-1], n - 3))], axis=-1)
 
@@ -29,12 +31,16 @@ def per_step(quality: Array, x: Array) -> Array:
 
 
 def over_measured(terms: Array, y: Array, x: Array) -> Array:
-    """Sum (R, ...) of log-likelihood terms (R, ..., k) over the components of y (R, k) that are measured (not NaN)."""
+    """Sum (R, ...) of log-likelihood terms (R, ..., k) over the components of y (R, k) that are
+    measured (not NaN).
+    """
     missing = np.isnan(y)
     return (np.where(per_step(missing, x), 0.0, terms) if missing.any() else terms).sum(axis=-1)
 
 
 def with_quality(y: Array, r: Array) -> tuple[Array, Array]:
-    """Values and variances (R, T, m); a value without a usable variance (NaN, not positive) counts as not measured."""
+    """Values and variances (R, T, m); a value without a usable variance (NaN, not positive) counts
+    as not measured.
+    """
     usable = np.isfinite(r) & (r > 0)
     return (y, r) if usable.all() else (np.where(usable, y, np.nan), np.where(usable, r, 1.0))

@@ -12,7 +12,9 @@ from aoabench.types import check_number
 
 @dataclass(frozen=True)
 class RandomWalk:
-    """theta_k = theta_{k-1} + w, w ~ N(0, dt diag(q_xy^2, q_xy^2, q_z^2)) [Nurminen 2018, (13)]; q in m / s^(1/2)."""
+    """theta_k = theta_{k-1} + w, w ~ N(0, dt diag(q_xy^2, q_xy^2, q_z^2)) [Nurminen 2018, (13)]; q
+    in m / s^(1/2).
+    """
 
     q_xy: float = 0.5
     q_z: float = 0.1
@@ -28,9 +30,11 @@ class RandomWalk:
 
 @dataclass(frozen=True)
 class ConstantAcceleration:
-    """s_k = F s_{k-1} + w, w ~ N(0, Q), of the state x, y, z, vx, vy, vz, ax, ay, az [Lu 2019, (15), (19)].
+    """s_k = F s_{k-1} + w, w ~ N(0, Q), of the state x, y, z, vx, vy, vz, ax, ay, az [Lu 2019,
+    (15), (19)].
 
-    The acceleration is a Wiener process: the jerk is white with the spectral density `q` in m^2/s^5 in each direction.
+    The acceleration is a Wiener process: the jerk is white with the spectral density `q` in m^2/s^5
+    in each direction.
     """
 
     q: float
@@ -39,7 +43,9 @@ class ConstantAcceleration:
         check_number("q", self.q, above=0, most=1e6)
 
     def matrices(self, dt: float) -> tuple[Array, Array]:
-        """F (9, 9) and Q (9, 9) for a step of dt s; positions in m, velocities in m/s, accelerations in m/s^2."""
+        """F (9, 9) and Q (9, 9) for a step of dt s; positions in m, velocities in m/s,
+        accelerations in m/s^2.
+        """
         F = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
         Q = np.array([
             [dt**5 / 20, dt**4 / 8, dt**3 / 6],

@@ -1,4 +1,5 @@
-"""Unit-vector measurement model: von Mises-Fisher directions, normal with covariance I / kappa for Kalman filters.
+"""Unit-vector measurement model: von Mises-Fisher directions, normal with covariance I / kappa for
+Kalman filters.
 
 Components in anchor order: x, y, z of the unit vector in the frame of anchor 1, of anchor 2, ...
 """
@@ -36,13 +37,19 @@ class UnitVector:
         if self.kappa is not None:
             r = np.full(u.shape, 1.0 / self.kappa)
         elif batch.azimuth_sigma is None:
-            raise BadValue("kappa", None, "a number, because these measurements do not state their deviations")
+            raise BadValue(
+                "kappa", None, "a number, because these measurements do not state their deviations"
+            )
         else:
-            r = np.repeat(1.0 / kappa_from_sigma(batch.azimuth_sigma, batch.elevation_sigma), 3, axis=-1)
+            r = np.repeat(
+                1.0 / kappa_from_sigma(batch.azimuth_sigma, batch.elevation_sigma), 3, axis=-1
+            )
         return with_quality(u, r)
 
     def predict(self, x: Array, anchors: Anchors) -> Array:
-        """Unit vectors (R, ..., 3B) towards positions x (R, ..., n); 0 where a position lies on its anchor."""
+        """Unit vectors (R, ..., 3B) towards positions x (R, ..., n); 0 where a position lies on its
+        anchor.
+        """
         return interleave(_directions(x, anchors)[0])
 
     def residual(self, y: Array, expected: Array) -> Array:
@@ -50,12 +57,16 @@ class UnitVector:
         return y - expected
 
     def jacobian(self, x: Array, anchors: Anchors) -> Array:
-        """Derivatives (R, ..., 3B, n): R_j (I - d d^T) / |theta - s_j| = (I - c c^T) R_j / |theta - s_j|, c = R_j d."""
+        """Derivatives (R, ..., 3B, n): R_j (I - d d^T) / |theta - s_j| = (I - c c^T) R_j / |theta -
+        s_j|, c = R_j d.
+        """
         units, distance = _directions(x, anchors)
         c = np.stack(units, axis=-1)
         R = rotations_for(x, anchors.rotation)
         d = (c[..., None, :] @ R)[..., 0, :]  # back in the global frame
-        return into_state((R - c[..., :, None] * d[..., None, :]) / distance[..., None, None], x.shape[-1])
+        return into_state(
+            (R - c[..., :, None] * d[..., None, :]) / distance[..., None, None], x.shape[-1]
+        )
 
     def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
         """1 / kappa (R, ..., 3B), whatever x."""

@@ -1,6 +1,8 @@
-"""Angular noise: normal azimuth and elevation, the same flipped over the poles (Model I), von Mises-Fisher (Model II).
+"""Angular noise: normal azimuth and elevation, the same flipped over the poles (Model I), von
+Mises-Fisher (Model II).
 
-Each knows its own calibration for the AE filters: `sigma` (nominal) and `fitted()` (over uniform directions).
+Each knows its own calibration for the AE filters: `sigma` (nominal) and `fitted()` (over uniform
+directions).
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from aoabench.types import Anchors, BadValue, Measurements, check_number
 
 @dataclass(frozen=True)
 class _Angular:
-    """sigma_deg (0, 180] or kappa > 0, either derived from the other by kappa = 1 / sigma^2 [Nurminen 2018, (7)].
+    """sigma_deg (0, 180] or kappa > 0, either derived from the other by kappa = 1 / sigma^2
+    [Nurminen 2018, (7)].
 
     Where neither is given, sigma is `default_sigma_deg`; both at once raise BadValue.
     """
@@ -44,7 +47,11 @@ class _Angular:
             check_number("kappa", self.kappa, least=1e-6, most=1e12)
         check_number("default_sigma_deg", self.default_sigma_deg, above=0, most=180)
         if self.sigma_deg is not None and self.kappa is not None:
-            raise BadValue("kappa", self.kappa, f"null together with sigma_deg={self.sigma_deg:g}, or sigma_deg=null")
+            raise BadValue(
+                "kappa",
+                self.kappa,
+                f"null together with sigma_deg={self.sigma_deg:g}, or sigma_deg=null",
+            )
 
     @property
     def sigma(self) -> float:
@@ -58,14 +65,19 @@ class _Angular:
         """Nominal concentration kappa = 1 / sigma^2."""
         return 1.0 / self.sigma**2 if self.kappa is None else float(self.kappa)
 
-    def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+    def perturb(
+        self, rng: np.random.Generator, azimuth: Array, elevation: Array
+    ) -> tuple[Array, Array]:
         """Noisy azimuth and elevation (...) rad of true ones (...) rad."""
         raise NotImplementedError
 
     def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
         """Measurements (T, B) of true states (T, n), seen from the scenario's anchors."""
         anchors = scenario.known_anchors
-        azimuth, elevation = (a[0] for a in to_azel(*in_frames(truth[None, :, :3], anchors.position, anchors.rotation)))
+        azimuth, elevation = (
+            a[0]
+            for a in to_azel(*in_frames(truth[None, :, :3], anchors.position, anchors.rotation))
+        )
         azimuth, elevation = self.perturb(rng, azimuth, elevation)
         quality = np.full(azimuth.shape, self.sigma)
         if hasattr(scenario, "reported"):
@@ -74,28 +86,33 @@ class _Angular:
         return Measurements(azimuth, elevation, azimuth_sigma=quality, elevation_sigma=quality)
 
     def fitted(self) -> tuple[float, float]:
-        """Root mean square residuals (azimuth, elevation) in rad over uniformly distributed directions.
+        """Root mean square residuals (azimuth, elevation) in rad over uniformly distributed
+        directions.
 
-        They are the maximum-likelihood deviations of the AE model [Nurminen 2018, IV-A], here by quadrature.
+        They are the maximum-likelihood deviations of the AE model [Nurminen 2018, IV-A], here by
+        quadrature.
         """
         return _fitted(self)
 
     def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
-        """Root mean square residuals (azimuth, elevation), each (N,) rad, at true elevations (N,) rad."""
+        """Root mean square residuals (azimuth, elevation), each (N,) rad, at true elevations (N,)
+        rad.
+        """
         raise NotImplementedError
 
     def information(self, point: Array, anchors: Anchors) -> Array:
         """Fisher information (..., 3, 3) 1/m^2 of one set of measurements at points (..., 3) m.
 
-        That of independent normal angles; wrapping and flipping are not seen as long as sigma is small beside pi and
-        beside the distance to the pole.
+        That of independent normal angles; wrapping and flipping are not seen as long as sigma is
+        small beside pi and beside the distance to the pole.
         """
         return bounds.azel_information(point, anchors, self.sigma, self.sigma)
 
 
 @lru_cache(maxsize=64)
 def _fitted(noise: _Angular) -> tuple[float, float]:
-    # uniform directions have density cos(elevation); near the pole things change on the scale of sigma, so the panels
+    # uniform directions have density cos(elevation); near the pole things change on the scale of
+    # sigma, so the panels
     # of the quadrature end at 0, 1, 2 ... sigma from it
     edges = np.pi / 2 - noise.sigma * np.array([0.0, 0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 14])
     edges = np.concatenate([[0.0], edges[edges > 0][::-1]])
@@ -111,7 +128,9 @@ def _fitted(noise: _Angular) -> tuple[float, float]:
 class NormalAngles(_Angular):
     """Independent normals on azimuth (wrapped) and elevation (not flipped) [Nurminen 2018, (4)]."""
 
-    def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+    def perturb(
+        self, rng: np.random.Generator, azimuth: Array, elevation: Array
+    ) -> tuple[Array, Array]:
         e = self.sigma * rng.standard_normal((2, *azimuth.shape))
         return wrap(azimuth + e[0]), elevation + e[1]
 
@@ -122,25 +141,38 @@ class NormalAngles(_Angular):
 
 @dataclass(frozen=True)
 class FlippedAngles(_Angular):
-    """Model I: normals on azimuth and elevation, flipped so that each direction has one representation."""
+    """Model I: normals on azimuth and elevation, flipped so that each direction has one
+    representation.
+    """
 
-    printed_fit_deg: ClassVar = (18.0, 10.0)  # fitted (azimuth, elevation) at sigma = 10 deg [Nurminen 2018, Table I]
+    printed_fit_deg: ClassVar = (
+        18.0,
+        10.0,
+    )  # fitted (azimuth, elevation) at sigma = 10 deg [Nurminen 2018, Table I]
 
-    def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+    def perturb(
+        self, rng: np.random.Generator, azimuth: Array, elevation: Array
+    ) -> tuple[Array, Array]:
         e = self.sigma * rng.standard_normal((2, *azimuth.shape))
         return flip(azimuth + e[0], elevation + e[1])
 
     def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
-        return flipped_azimuth_std(elevation, self.sigma), flipped_elevation_moments(elevation, self.sigma)[1]
+        return flipped_azimuth_std(elevation, self.sigma), flipped_elevation_moments(
+            elevation, self.sigma
+        )[1]
 
 
 @dataclass(frozen=True)
 class VonMisesFisher(_Angular):
-    """Model II: the measured direction is von Mises-Fisher around the true one [Nurminen 2018, (5)]."""
+    """Model II: the measured direction is von Mises-Fisher around the true one [Nurminen 2018,
+    (5)].
+    """
 
     printed_fit_deg: ClassVar = (21.0, 10.0)  # not what samples give: erratum N12
 
-    def perturb(self, rng: np.random.Generator, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+    def perturb(
+        self, rng: np.random.Generator, azimuth: Array, elevation: Array
+    ) -> tuple[Array, Array]:
         u = vmf_sample(rng, to_unit(azimuth, elevation), self.concentration)
         return to_azel(u[..., 0], u[..., 1], u[..., 2])
 
@@ -152,7 +184,9 @@ class VonMisesFisher(_Angular):
 
 
 def _vmf_residual_rms(kappa: float, elevation: tuple[float, ...]) -> tuple[Array, Array]:
-    """By quadrature over the angle from the mean (its distribution function) and the turn around it."""
+    """By quadrature over the angle from the mean (its distribution function) and the turn around
+    it.
+    """
     v, wv = np.polynomial.legendre.leggauss(200)
     v, wv = 0.5 * (v + 1.0), 0.5 * wv
     one_minus_cos = np.clip(-np.log1p(v * np.expm1(-2.0 * kappa)) / kappa, 0.0, 2.0)[:, None]
@@ -162,6 +196,8 @@ def _vmf_residual_rms(kappa: float, elevation: tuple[float, ...]) -> tuple[Array
     for i, b in enumerate(elevation):
         # frame: mean (cos b, 0, sin b), tangents north (-sin b, 0, cos b) and east (0, 1, 0)
         north, east, ahead = sine * np.cos(turn), sine * np.sin(turn), 1.0 - one_minus_cos
-        azimuth, up = to_azel(ahead * np.cos(b) - north * np.sin(b), east, ahead * np.sin(b) + north * np.cos(b))
+        azimuth, up = to_azel(
+            ahead * np.cos(b) - north * np.sin(b), east, ahead * np.sin(b) + north * np.cos(b)
+        )
         rms[:, i] = [np.sqrt(wv @ np.mean(f**2, axis=1)) for f in (azimuth, up - b)]
     return rms[0], rms[1]

@@ -1,7 +1,9 @@
-"""Angles and signal strengths of a Bluetooth room with multipath: a campaign's channel, then its packets.
+"""Angles and signal strengths of a Bluetooth room with multipath: a campaign's channel, then its
+packets.
 
-No published recording tells what made the errors of [Boquet 2024, 6.3]; this is a model with as many parameters as that
-section has symptoms, each in YAML. In the order in which they act on the true direction from an anchor:
+No published recording tells what made the errors of [Boquet 2024, 6.3]; this is a model with as
+many parameters as that section has symptoms, each in YAML. In the order in which they act on the
+true direction from an anchor:
 
 - wall images: a share of the packets of a day finds the channel `disturbed`, for all anchors at once; each direction is
   then pulled towards that of the node's mirror image in one of the room's walls, by an exponential fraction. Which
@@ -31,7 +33,9 @@ _WAVES = 32  # plane waves that make up a field
 
 @dataclass(frozen=True)
 class BleMultipath:
-    """What each parameter means stands beside it in configs/noise/ble_multipath.yaml; angles in deg, lengths in m."""
+    """What each parameter means stands beside it in configs/noise/ble_multipath.yaml; angles in
+    deg, lengths in m.
+    """
 
     azimuth_noise_deg: float = 3.0
     elevation_noise_deg: float = 3.0
@@ -58,38 +62,68 @@ class BleMultipath:
     def __post_init__(self) -> None:
         for key in ("azimuth_noise_deg", "elevation_noise_deg", "correlation_m"):
             check_number(key, getattr(self, key), above=0)
-        for key in ("steep_deg", "azimuth_bias_deg", "elevation_bias_deg", "azimuth_day_deg", "elevation_day_deg"):
+        for key in (
+            "steep_deg",
+            "azimuth_bias_deg",
+            "elevation_bias_deg",
+            "azimuth_day_deg",
+            "elevation_day_deg",
+        ):
             check_number(key, getattr(self, key), least=0, most=180)
-        for key in ("steep_power", "pull_spread", "outlier_deg", "rssi_exponent", "shadowing_db", "fading_db"):
+        for key in (
+            "steep_power",
+            "pull_spread",
+            "outlier_deg",
+            "rssi_exponent",
+            "shadowing_db",
+            "fading_db",
+        ):
             check_number(key, getattr(self, key), least=0)
         for key in ("outliers", "lost", "pole_floor"):
             check_number(key, getattr(self, key), least=0, most=1)
         check_number("rssi_1m_dbm", self.rssi_1m_dbm)
         for key in ("bias_scale", "pull"):
             if not np.all(check_array(key, getattr(self, key), (None,)) >= 0):
-                raise BadValue(key, list(getattr(self, key)), "a list of numbers >= 0, one for each anchor")
+                raise BadValue(
+                    key, list(getattr(self, key)), "a list of numbers >= 0, one for each anchor"
+                )
         share = check_array("disturbed", self.disturbed, (None,))
         if not np.all((share >= 0) & (share <= 1)):
-            raise BadValue("disturbed", list(self.disturbed), "a list of shares from 0 to 1, one for each day")
+            raise BadValue(
+                "disturbed", list(self.disturbed), "a list of shares from 0 to 1, one for each day"
+            )
 
     def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
         """Azimuth, elevation (T, B) rad and rssi (T, B) dBm of true states (T, n).
 
-        The scenario's `days_of` says which day a step is of (all of one, if it says nothing). Days beyond the list of
-        `disturbed`, and anchors beyond those of `bias_scale` and `pull`, take the last one's.
+        The scenario's `days_of` says which day a step is of (all of one, if it says nothing). Days
+        beyond the list of `disturbed`, and anchors beyond those of `bias_scale` and `pull`, take
+        the last one's.
         """
         point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
         anchors, seat = scenario.known_anchors, seat.ravel()
         day = np.asarray(getattr(scenario, "days_of", np.zeros(len(truth), dtype=int)))
         T, B, D = len(truth), anchors.position.shape[1], int(day.max()) + 1
-        # the campaign's channel: every draw is made whatever the parameters are, so that two settings are paired
-        bias = np.deg2rad([self.azimuth_bias_deg, self.elevation_bias_deg]) * self._fields(rng, point, (B, 2))
+        # the campaign's channel: every draw is made whatever the parameters are, so that two
+        # settings are paired
+        bias = np.deg2rad([self.azimuth_bias_deg, self.elevation_bias_deg]) * self._fields(
+            rng, point, (B, 2)
+        )
         bias = bias * _each(self.bias_scale, B)[:, None]
-        walls, (shade, force) = self._fields(rng, point, (B, 4)), np.moveaxis(self._fields(rng, point, (B, 2)), -1, 0)
-        offset = np.deg2rad([self.azimuth_day_deg, self.elevation_day_deg]) * rng.standard_normal((D, B, 2))
+        walls, (shade, force) = (
+            self._fields(rng, point, (B, 4)),
+            np.moveaxis(self._fields(rng, point, (B, 2)), -1, 0),
+        )
+        offset = np.deg2rad([self.azimuth_day_deg, self.elevation_day_deg]) * rng.standard_normal(
+            (D, B, 2)
+        )
         # its packets
         hit = rng.random(T) < _each(self.disturbed, D)[day]
-        strength = _each(self.pull, B) * np.exp(self.pull_spread * force)[seat] * rng.exponential(size=(T, B))
+        strength = (
+            _each(self.pull, B)
+            * np.exp(self.pull_spread * force)[seat]
+            * rng.exponential(size=(T, B))
+        )
         fraction = np.where(hit[:, None], 1.0 - np.exp(-strength), 0.0)
         noise, laplace = rng.standard_normal((2, T, B)), rng.laplace(size=(2, T, B))
         outlier, lost = rng.random((T, B)) < self.outliers, rng.random((T, B)) < self.lost
@@ -97,41 +131,58 @@ class BleMultipath:
         if hasattr(scenario, "reported"):
             lost |= ~scenario.reported(truth[:, :3])
 
-        seen = [x - anchors.position[0] for x in (point[:, None], self._images(scenario, point, walls))]
+        seen = [
+            x - anchors.position[0] for x in (point[:, None], self._images(scenario, point, walls))
+        ]
         distance = np.linalg.norm(seen[0], axis=-1)
         to_node, to_image = (
             np.einsum(
-                "bij,pbj->pbi", anchors.rotation[0], v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+                "bij,pbj->pbi",
+                anchors.rotation[0],
+                v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9),
             )
             for v in seen
         )
         v = (1 - fraction)[..., None] * to_node[seat] + fraction[..., None] * to_image[seat]
         azimuth, elevation = to_azel(v[..., 0], v[..., 1], v[..., 2])
         flat = 1.0 - np.abs(elevation) / (np.pi / 2)
-        elevation = elevation + np.copysign(np.deg2rad(self.steep_deg) * flat**self.steep_power, elevation)
+        elevation = elevation + np.copysign(
+            np.deg2rad(self.steep_deg) * flat**self.steep_power, elevation
+        )
         e = bias[seat] + offset[day]
         wide = np.maximum(np.cos(elevation), self.pole_floor)
         scale = np.deg2rad(self.outlier_deg)
         azimuth = azimuth + e[..., 0] + np.deg2rad(self.azimuth_noise_deg) / wide * noise[0]
         elevation = elevation + e[..., 1] + np.deg2rad(self.elevation_noise_deg) * noise[1]
-        azimuth, elevation = (y + np.where(outlier, scale * o, 0.0) for y, o in zip((azimuth, elevation), laplace))
+        azimuth, elevation = (
+            y + np.where(outlier, scale * o, 0.0) for y, o in zip((azimuth, elevation), laplace)
+        )
         azimuth, elevation = flip(azimuth, elevation)
         rssi = self.rssi_1m_dbm - 10 * self.rssi_exponent * np.log10(np.maximum(distance, 0.01))
         rssi = (rssi + self.shadowing_db * shade)[seat] + self.fading_db * fading
-        stated = (np.full((T, B), np.deg2rad(deg)) for deg in (self.azimuth_noise_deg, self.elevation_noise_deg))
+        stated = (
+            np.full((T, B), np.deg2rad(deg))
+            for deg in (self.azimuth_noise_deg, self.elevation_noise_deg)
+        )
         azimuth, elevation, rssi = (np.where(lost, np.nan, y) for y in (azimuth, elevation, rssi))
         return Measurements(azimuth, elevation, None, rssi, *stated)
 
     def _fields(self, rng: np.random.Generator, point: Array, shape: tuple[int, int]) -> Array:
-        """Gaussian fields (P, *shape) of variance 1 at points (P, 3) m, correlated over the floor: sums of waves."""
+        """Gaussian fields (P, *shape) of variance 1 at points (P, 3) m, correlated over the floor:
+        sums of waves.
+        """
         wave = rng.standard_normal((*shape, 2, _WAVES)) / self.correlation_m
         phase = rng.uniform(0, 2 * np.pi, (*shape, 1, _WAVES))
-        return np.sqrt(2 / _WAVES) * np.cos(point[:, None, None, None, :2] @ wave + phase).sum(axis=(-2, -1))
+        return np.sqrt(2 / _WAVES) * np.cos(point[:, None, None, None, :2] @ wave + phase).sum(
+            axis=(-2, -1)
+        )
 
     def _images(self, scenario: Any, point: Array, walls: Array) -> Array:
-        """Mirror images (P, B, 3) m of points (P, 3) m, each in the wall whose field (P, B, 4) is the largest.
+        """Mirror images (P, B, 3) m of points (P, 3) m, each in the wall whose field (P, B, 4) is
+        the largest.
 
-        The walls are the sides of the scenario's `bounds_m`, or of the box around its points and anchors.
+        The walls are the sides of the scenario's `bounds_m`, or of the box around its points and
+        anchors.
         """
         everything = np.concatenate([point[:, :2], scenario.known_anchors.position[0, :, :2]])
         bounds = getattr(scenario, "bounds_m", None)

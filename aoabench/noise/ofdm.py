@@ -1,11 +1,13 @@
-"""Time and angles of arrival of OFDM pilots at antenna arrays, at their Cramér-Rao bounds [Lu 2019, II].
+"""Time and angles of arrival of OFDM pilots at antenna arrays, at their Cramér-Rao bounds [Lu 2019,
+II].
 
     RSS [dBm]    P_T - PL(d) + S + G_R,    PL = 32.4 + 17.3 log10(d / m) + 20 log10(f_c / GHz)       (1), InH LoS
     time         sigma^2 = 3 P_n / (8 pi^2 f_sc^2 P_r M (M + 1) (2 M + 1)),    M = (N_u - 1) / 2      (4)
     angle        sigma^2 = 6 P_n / (L (L^2 - 1) P_e (pi cos a)^2)                                     (8)
 
-with P_r the received power after beamforming and P_e = P_r / G_R that of one element: (8) counts the array's gain
-itself (erratum U6). The angle a off broadside is the azimuth for the azimuth, the elevation for the elevation (U5).
+with P_r the received power after beamforming and P_e = P_r / G_R that of one element: (8) counts
+the array's gain itself (erratum U6). The angle a off broadside is the azimuth for the azimuth, the
+elevation for the elevation (U5).
 """
 
 from __future__ import annotations
@@ -28,9 +30,10 @@ NEAREST = 1.0  # m; the path loss model does not know anything nearer
 class OfdmCrlb:
     """What access nodes (ANs) measure of a robot's pilots, and how well they are known themselves.
 
-    An AN's frame has its array's broadside as x and up as z. `an_sigma_m` is the deviation of the known position in x
-    and in y, `an_sigma_m / an_beta` in z; drawn once per replication, for each AN (`independent`) or one for all
-    (`common`). `as_printed: [gain]` takes the beamforming gain into (8) a second time.
+    An AN's frame has its array's broadside as x and up as z. `an_sigma_m` is the deviation of the
+    known position in x and in y, `an_sigma_m / an_beta` in z; drawn once per replication, for each
+    AN (`independent`) or one for all (`common`). `as_printed: [gain]` takes the beamforming gain
+    into (8) a second time.
     """
 
     carrier_ghz: float = 39.0
@@ -67,10 +70,12 @@ class OfdmCrlb:
         if isinstance(self.as_printed, str):
             raise BadValue("as_printed", self.as_printed, f"a list of {', '.join(PRINTED)}")
 
-    # --- the link -----------------------------------------------------------------------------------------------------
+    # --- the link ---------------------------------------------------------------------------------
 
     def path_loss(self, distance: Array) -> Array:
-        """Path loss (...) dB over distances (...) m: 3GPP indoor hotspot, line of sight [TR 38.900, table 7.4.1-1]."""
+        """Path loss (...) dB over distances (...) m: 3GPP indoor hotspot, line of sight [TR 38.900,
+        table 7.4.1-1].
+        """
         d = np.maximum(distance, NEAREST)
         return 32.4 + 17.3 * np.log10(d) + 20.0 * math.log10(self.carrier_ghz)
 
@@ -86,20 +91,28 @@ class OfdmCrlb:
         return np.sqrt(3.0 / (width * snr))
 
     def angle_sigma(self, rss: Array, off_broadside: Array) -> Array:
-        """Deviation (...) rad of an angle off broadside (...) rad [(8)]; its cosine is kept above `cosine_floor`."""
+        """Deviation (...) rad of an angle off broadside (...) rad [(8)]; its cosine is kept above
+        `cosine_floor`.
+        """
         element = rss if "gain" in self.as_printed else rss - self.array_gain_db
         snr = 10.0 ** (0.1 * (element - self.noise_dbm))
         cosine = np.maximum(np.abs(np.cos(off_broadside)), self.cosine_floor)
         L = self.elements
         return np.sqrt(6.0 / (L * (L**2 - 1) * snr)) / (math.pi * cosine)
 
-    # --- one replication ----------------------------------------------------------------------------------------------
+    # --- one replication --------------------------------------------------------------------------
 
     def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
-        """Measurements (T, B) of true states (T, n) by the ANs that the scenario lets report, NaN elsewhere."""
+        """Measurements (T, B) of true states (T, n) by the ANs that the scenario lets report, NaN
+        elsewhere.
+        """
         anchors, points = scenario.known_anchors, truth[:, :3]
         shape = (len(points), anchors.position.shape[1])
-        reported = scenario.reported(points) if hasattr(scenario, "reported") else np.ones(shape, dtype=bool)
+        reported = (
+            scenario.reported(points)
+            if hasattr(scenario, "reported")
+            else np.ones(shape, dtype=bool)
+        )
         step, b = np.nonzero(reported)
         one = Anchors(anchors.position[0, b][:, None], anchors.rotation[0, b][:, None])
         local = (a[:, 0] for a in in_frames(points[step], one.position, one.rotation))
@@ -123,7 +136,9 @@ class OfdmCrlb:
         return Measurements(**dense)
 
     def shadowing(self, rng: np.random.Generator, points: Array) -> Array:
-        """Shadow fading (T,) dB at positions (T, 3) m: normal; correlation exp(-distance / shadowing_m) in steps."""
+        """Shadow fading (T,) dB at positions (T, 3) m: normal; correlation exp(-distance /
+        shadowing_m) in steps.
+        """
         e = rng.standard_normal(len(points))
         if self.shadowing_m > 0:
             apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -134,11 +149,15 @@ class OfdmCrlb:
         return self.shadowing_db * e
 
     def known_anchors(self, rng: np.random.Generator, scenario: Any) -> Anchors:
-        """The ANs as the filters know them, (1, B, ...): the true ones with this replication's errors [(9), (10)]."""
+        """The ANs as the filters know them, (1, B, ...): the true ones with this replication's
+        errors [(9), (10)].
+        """
         true: Anchors = scenario.known_anchors
         deviation = self.an_sigma_m * np.array([1.0, 1.0, 1.0 / self.an_beta])
         shape = true.position.shape if self.an_error == "independent" else (1, 1, 3)
         error = deviation * rng.standard_normal(shape)
         return replace(
-            true, position=true.position + error, position_sigma=np.broadcast_to(deviation, true.position.shape)
+            true,
+            position=true.position + error,
+            position_sigma=np.broadcast_to(deviation, true.position.shape),
         )

@@ -13,7 +13,9 @@ from aoabench.types import Measurements
 
 @dataclass(frozen=True)
 class Recorded:
-    """The scenario's own recording; takes the place of the noise that a run names where the scenario has one."""
+    """The scenario's own recording; takes the place of the noise that a run names where the
+    scenario has one.
+    """
 
     def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
         """The recorded measurements (T, B)."""

@@ -1,4 +1,5 @@
-"""An animated track from the traces that `aoabench replay` writes, one per estimator, of one replication:
+"""An animated track from the traces that `aoabench replay` writes, one per estimator, of one
+replication:
 
 python -m aoabench.report.animation TRACE [TRACE ...] --out results/figures/track.gif
 """
@@ -23,42 +24,75 @@ INSIDE_95 = 2.4477  # sqrt of the 95 % quantile of chi square with 2 degrees of 
 
 
 def ellipse(row: pd.Series, points: int = 60) -> np.ndarray:
-    """The 95 % ellipse (points, 2) m of the horizontal position that one step of a trace believes in."""
+    """The 95 % ellipse (points, 2) m of the horizontal position that one step of a trace believes
+    in.
+    """
     xx, yy, xy = row["sigma_x_m"] ** 2, row["sigma_y_m"] ** 2, row["cov_xy_m2"]
     spread, axes = np.linalg.eigh([[xx, xy], [xy, yy]])
     turn = np.linspace(0, 2 * np.pi, points)
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    return np.array([row["x_m"], row["y_m"]]) + INSIDE_95 * (circle * np.sqrt(np.maximum(spread, 0))) @ axes.T
+    return (
+        np.array([row["x_m"], row["y_m"]])
+        + INSIDE_95 * (circle * np.sqrt(np.maximum(spread, 0))) @ axes.T
+    )
 
 
-def frame(traces: Mapping[str, pd.DataFrame], step: int, anchors: Mapping[str, Any], tail: int = 8) -> Figure:
-    """One picture: the truth so far, and each estimator's last positions with the ellipse it believes in."""
+def frame(
+    traces: Mapping[str, pd.DataFrame], step: int, anchors: Mapping[str, Any], tail: int = 8
+) -> Figure:
+    """One picture: the truth so far, and each estimator's last positions with the ellipse it
+    believes in.
+    """
     figure, axis = plots.new(plots.COLUMN, plots.COLUMN)
     position, facing = np.array(anchors["position_m"], dtype=float), anchors.get("facing")
     if facing is not None:
         for place, pole in zip(position, np.array(facing, dtype=float)):
-            axis.plot(*np.stack([place, place + 20 * pole])[:, :2].T, color=plots.GREY, ls=":", lw=0.7)
-    axis.plot(position[:, 0], position[:, 1], "X", color=plots.GREY, ms=6, label="anchor and its pole")
+            axis.plot(
+                *np.stack([place, place + 20 * pole])[:, :2].T, color=plots.GREY, ls=":", lw=0.7
+            )
+    axis.plot(
+        position[:, 0], position[:, 1], "X", color=plots.GREY, ms=6, label="anchor and its pole"
+    )
     truth = next(iter(traces.values()))[: step + 1]
     axis.plot(truth["true_x_m"], truth["true_y_m"], color="black", lw=0.8)
-    axis.plot(truth["true_x_m"].iloc[-1], truth["true_y_m"].iloc[-1], "o", color="black", ms=5, label="truth")
+    axis.plot(
+        truth["true_x_m"].iloc[-1],
+        truth["true_y_m"].iloc[-1],
+        "o",
+        color="black",
+        ms=5,
+        label="truth",
+    )
     for name, trace in traces.items():
         family, _, model = name.partition("_")
         colour = plots.COLOURS.get(model, plots.GREY)
         rows = trace[max(0, step - tail) : step + 1]
         label = f"{family.upper()}-{plots.LABELS.get(model, model)}"
         axis.plot(
-            rows["x_m"], rows["y_m"], color=colour, marker=plots.MARKERS.get(model, "o"), ms=2.5, lw=0.9, label=label
+            rows["x_m"],
+            rows["y_m"],
+            color=colour,
+            marker=plots.MARKERS.get(model, "o"),
+            ms=2.5,
+            lw=0.9,
+            label=label,
         )
         axis.fill(*ellipse(rows.iloc[-1]).T, facecolor=colour, alpha=0.25, edgecolor=colour, lw=1.0)
     low, high = position[:, :2].min(axis=0), position[:, :2].max(axis=0)
-    axis.set(xlabel="x [m]", ylabel="y [m]", xlim=(low[0] - 1, high[0] + 1), ylim=(low[1] - 2, high[1] + 2))
+    axis.set(
+        xlabel="x [m]",
+        ylabel="y [m]",
+        xlim=(low[0] - 1, high[0] + 1),
+        ylim=(low[1] - 2, high[1] + 2),
+    )
     axis.set(aspect="equal", title="95 % ellipses as each filter believes them")
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
-def write(traces: Mapping[str, pd.DataFrame], anchors: Mapping[str, Any], path: Path, dpi: int = 120) -> Path:
+def write(
+    traces: Mapping[str, pd.DataFrame], anchors: Mapping[str, Any], path: Path, dpi: int = 120
+) -> Path:
     """The GIF of all steps."""
     import matplotlib.pyplot as plt
     from PIL import Image
@@ -75,7 +109,13 @@ def write(traces: Mapping[str, pd.DataFrame], anchors: Mapping[str, Any], path: 
 
     def save(temporary: Path) -> None:
         pictures[0].save(
-            temporary, "GIF", save_all=True, append_images=pictures[1:], duration=160, loop=0, optimize=True
+            temporary,
+            "GIF",
+            save_all=True,
+            append_images=pictures[1:],
+            duration=160,
+            loop=0,
+            optimize=True,
         )
 
     store.write_atomically(path, save)
@@ -88,9 +128,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     import pandas as pd
 
     matplotlib.use("Agg")
-    parser = argparse.ArgumentParser(prog="python -m aoabench.report.animation", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m aoabench.report.animation", description=__doc__
+    )
     parser.add_argument(
-        "traces", nargs="+", type=Path, metavar="TRACE", help="<cell>-<estimator>-<replication>.parquet"
+        "traces",
+        nargs="+",
+        type=Path,
+        metavar="TRACE",
+        help="<cell>-<estimator>-<replication>.parquet",
     )
     parser.add_argument("--out", type=Path, default=Path("results/figures/track.gif"))
     given = parser.parse_args(arguments)

@@ -1,4 +1,5 @@
-"""Figures of a measurement campaign: how errors in the plane are distributed, and where they are large.
+"""Figures of a measurement campaign: how errors in the plane are distributed, and where they are
+large.
 
 Errors are in m, NaN where a method gave no position.
 """
@@ -26,11 +27,18 @@ SCALE = "cividis"  # even in lightness, and read by colour-blind readers
 
 
 def write(
-    out: Path, cell: str, estimators: Sequence[str], truth: np.ndarray, anchors: np.ndarray, bounds: Any = None
+    out: Path,
+    cell: str,
+    estimators: Sequence[str],
+    truth: np.ndarray,
+    anchors: np.ndarray,
+    bounds: Any = None,
 ) -> list[Path]:
-    """Draw <out>/figures/<cell>-cdf.png and -median_map.png from a run's stored fixes; nothing without ground truth.
+    """Draw <out>/figures/<cell>-cdf.png and -median_map.png from a run's stored fixes; nothing
+    without ground truth.
 
-    truth (T, 2) m, the same in all replications, NaN where it is not known; anchors (B, 2) m; bounds (2, 2) m or None.
+    truth (T, 2) m, the same in all replications, NaN where it is not known; anchors (B, 2) m;
+    bounds (2, 2) m or None.
     """
     import pandas as pd
 
@@ -46,7 +54,9 @@ def write(
     if len(points) <= MOST_POINTS:
         R = len(next(iter(errors.values())))
         where = np.tile(place, R)
-        medians = {n: pd.Series(e.ravel()).groupby(where).median().to_numpy() for n, e in errors.items()}
+        medians = {
+            n: pd.Series(e.ravel()).groupby(where).median().to_numpy() for n, e in errors.items()
+        }
         maps = lambda: median_maps(points, medians, anchors, bounds)  # noqa: E731
     else:
         first = {n: e[0] for n, e in errors.items()}
@@ -59,8 +69,11 @@ def write(
     ]
 
 
-def places(truth: np.ndarray, within_m: float = 0.1, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Points (P, 2) m that positions (T, 2) m lie within a distance of, and which one (T,) each belongs to.
+def places(
+    truth: np.ndarray, within_m: float = 0.1, most: int = MOST_POINTS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P, 2) m that positions (T, 2) m lie within a distance of, and which one (T,) each
+    belongs to.
 
     The search ends at most + 1 points: a target that is at so many places moves.
     """
@@ -77,9 +90,11 @@ def cdf(
     errors: Mapping[str, np.ndarray],
     bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
 ) -> Figure:
-    """Share of fixes whose error (N,) is at most so large; a method that gives fewer fixes ends below 1.
+    """Share of fixes whose error (N,) is at most so large; a method that gives fewer fixes ends
+    below 1.
 
-    bands: for some of the methods errors (K,) and the pointwise lower and upper limit (K,) of the share there.
+    bands: for some of the methods errors (K,) and the pointwise lower and upper limit (K,) of the
+    share there.
     """
     figure, axis = plots.new(plots.COLUMN * 1.35, plots.COLUMN)
     reach = 0.0
@@ -113,7 +128,8 @@ def median_maps(
     anchors: np.ndarray,
     bounds: np.ndarray | None = None,
 ) -> Figure:
-    """A map for each method: the median error (P,) at points (P, 2) m as colour and number; – is no position at all.
+    """A map for each method: the median error (P,) at points (P, 2) m as colour and number; – is no
+    position at all.
 
     anchors (B, 2) m; bounds: lower and upper corner (2, 2) m of the room.
     """
@@ -133,41 +149,73 @@ def median_maps(
         for (x, y), value in zip(points, median):
             dark = math.isfinite(value) and norm(value) < 0.55
             colour = "white" if dark else "black"
-            axis.text(x, y, _short(value), ha="center", va="center", fontsize=size, color=colour, zorder=5)
+            axis.text(
+                x, y, _short(value), ha="center", va="center", fontsize=size, color=colour, zorder=5
+            )
         _finish(axis, name, anchors, bounds, extent)
-    figure.colorbar(drawn, ax=list(axes), label="median error in the plane [m]", extend="max", shrink=0.8)
+    figure.colorbar(
+        drawn, ax=list(axes), label="median error in the plane [m]", extend="max", shrink=0.8
+    )
     _legend(figure, axes)
     return figure
 
 
 def track_maps(
-    points: np.ndarray, errors: Mapping[str, np.ndarray], anchors: np.ndarray, bounds: np.ndarray | None = None
+    points: np.ndarray,
+    errors: Mapping[str, np.ndarray],
+    anchors: np.ndarray,
+    bounds: np.ndarray | None = None,
 ) -> Figure:
-    """A map for each method: the track (T, 2) m coloured by its error (T,); crosses where there is no position."""
+    """A map for each method: the track (T, 2) m coloured by its error (T,); crosses where there is
+    no position.
+    """
     thin = slice(None, None, -(-len(points) // MOST_DRAWN))
-    points, errors = points[thin], {name: np.asarray(error, dtype=float)[thin] for name, error in errors.items()}
+    points, errors = (
+        points[thin],
+        {name: np.asarray(error, dtype=float)[thin] for name, error in errors.items()},
+    )
     extent = _extent(points, anchors, bounds)
     figure, axes, _ = _panels(len(errors), extent)
     norm = _norm(np.concatenate(list(errors.values())))
     for axis, (name, error) in zip(axes, errors.items()):
         given = np.isfinite(error)
-        if len(points) > 1 and np.median(np.hypot(*np.diff(points, axis=0).T)) < 0.05 * np.diff(extent, axis=0).max():
-            axis.plot(*points.T, color="0.8", linewidth=0.5, zorder=1)  # one after the other, not here and there
+        if (
+            len(points) > 1
+            and np.median(np.hypot(*np.diff(points, axis=0).T))
+            < 0.05 * np.diff(extent, axis=0).max()
+        ):
+            axis.plot(
+                *points.T, color="0.8", linewidth=0.5, zorder=1
+            )  # one after the other, not here and there
         if not given.all():
-            axis.scatter(*points[~given].T, marker="x", s=8, linewidths=0.5, color="0.4", zorder=2, label="no position")
-        drawn = axis.scatter(*points[given].T, c=error[given], s=7, cmap=_scale(), norm=norm, linewidths=0, zorder=3)
+            axis.scatter(
+                *points[~given].T,
+                marker="x",
+                s=8,
+                linewidths=0.5,
+                color="0.4",
+                zorder=2,
+                label="no position",
+            )
+        drawn = axis.scatter(
+            *points[given].T, c=error[given], s=7, cmap=_scale(), norm=norm, linewidths=0, zorder=3
+        )
         _finish(axis, name, anchors, bounds, extent)
     figure.colorbar(drawn, ax=list(axes), label="error in the plane [m]", extend="max", shrink=0.8)
     _legend(figure, axes)
     return figure
 
 
-# --- pieces -----------------------------------------------------------------------------------------------------------
+# --- pieces ---------------------------------------------------------------------------------------
 
 
 def _short(value: float) -> str:
     """A number in three digits or so; – for NaN."""
-    return "–" if math.isnan(value) else f"{value:.{2 if value < 9.995 else 1 if value < 99.95 else 0}f}"
+    return (
+        "–"
+        if math.isnan(value)
+        else f"{value:.{2 if value < 9.995 else 1 if value < 99.95 else 0}f}"
+    )
 
 
 def _scale() -> Any:
@@ -189,7 +237,9 @@ def _extent(points: np.ndarray, anchors: np.ndarray, bounds: Any) -> np.ndarray:
     corners = [points, anchors] + ([np.asarray(bounds, dtype=float)] if bounds is not None else [])
     all_of_it = np.concatenate(corners)
     low, high = all_of_it.min(axis=0), all_of_it.max(axis=0)
-    margin = max(0.05 * float((high - low).max()), 0.25 * _spacing(points, float((high - low).max())), 1e-3)
+    margin = max(
+        0.05 * float((high - low).max()), 0.25 * _spacing(points, float((high - low).max())), 1e-3
+    )
     return np.stack([low - margin, high + margin])
 
 
@@ -203,7 +253,9 @@ def _spacing(points: np.ndarray, extent: float) -> float:
 
 
 def _panels(count: int, extent: np.ndarray) -> tuple[Figure, Any, float]:
-    """A figure with so many panels, their axes in order, and how many inches wide the map in one is."""
+    """A figure with so many panels, their axes in order, and how many inches wide the map in one
+    is.
+    """
     cols = 2 if count == 4 else min(count, 3)
     rows = math.ceil(count / cols)
     width = plots.PAGE if cols > 1 else plots.COLUMN * 1.2
@@ -211,7 +263,9 @@ def _panels(count: int, extent: np.ndarray) -> tuple[Figure, Any, float]:
     inches = 0.78 * width / cols
     height = min(inches * high / wide, 1.6 * inches)
     inches = height * wide / high
-    figure, axes = plots.new(width, rows * (height + 0.25) + 0.8, rows, cols, squeeze=False, sharex=True, sharey=True)
+    figure, axes = plots.new(
+        width, rows * (height + 0.25) + 0.8, rows, cols, squeeze=False, sharex=True, sharey=True
+    )
     for axis in axes.ravel()[count:]:
         axis.set_visible(False)
     for i in range(count):
@@ -229,11 +283,15 @@ def _finish(axis: Any, name: str, anchors: np.ndarray, bounds: Any, extent: np.n
     axis.scatter(*anchors.T, marker="^", label="anchor", zorder=4, **look)
     if bounds is not None:
         low, high = np.asarray(bounds, dtype=float)
-        axis.add_patch(Rectangle(low, *(high - low), fill=False, edgecolor=plots.GREY, linewidth=0.8))
+        axis.add_patch(
+            Rectangle(low, *(high - low), fill=False, edgecolor=plots.GREY, linewidth=0.8)
+        )
     axis.set(title=name, aspect="equal", xlim=extent[:, 0], ylim=extent[:, 1])
     axis.grid(False)
 
 
 def _legend(figure: Figure, axes: Any) -> None:
-    named = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels())}
+    named = {
+        label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels())
+    }
     figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=len(named))

@@ -32,7 +32,9 @@ def write(
     results: Path,
     problems: Mapping[tuple[str, str], str] | None = None,
 ) -> Path:
-    """Write <results>/report/index.html and return its path; `problems` says which figures did not come out."""
+    """Write <results>/report/index.html and return its path; `problems` says which figures did not
+    come out.
+    """
     import jinja2
 
     environment = jinja2.Environment(
@@ -42,11 +44,15 @@ def write(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    rows: list[dict[str, Any]] = [{str(k): v for k, v in row.items()} for row in verdicts.to_dict("records")]
+    rows: list[dict[str, Any]] = [
+        {str(k): v for k, v in row.items()} for row in verdicts.to_dict("records")
+    ]
     for row in rows:
         row["ours_text"] = studies.number_text(row["ours"], row["se"])
         row["ours_sort"] = "" if row["ours"] != row["ours"] else f"{row['ours']:.6g}"
-    ordered = sorted(everything, key=lambda s: not s.printed)  # a leaderboard, which prints nothing, comes last
+    ordered = sorted(
+        everything, key=lambda s: not s.printed
+    )  # a leaderboard, which prints nothing, comes last
     html = environment.get_template("page.html.j2").render(
         studies=[_study(s, rows, results, problems or {}) for s in ordered],
         rows=rows,
@@ -62,7 +68,10 @@ def write(
 
 
 def _study(
-    study: studies.Study, rows: list[dict[str, Any]], results: Path, problems: Mapping[tuple[str, str], str]
+    study: studies.Study,
+    rows: list[dict[str, Any]],
+    results: Path,
+    problems: Mapping[tuple[str, str], str],
 ) -> dict[str, Any]:
     items = []
     found: dict[str, Any] = {}
@@ -77,7 +86,11 @@ def _study(
         items.append(
             {
                 "item": item,
-                "status": "" if good else f"Not computed ({problem})." if problem else "Not computed.",
+                "status": ""
+                if good
+                else f"Not computed ({problem})."
+                if problem
+                else "Not computed.",
                 "image": embedded(figure) if good and item.figure and figure.exists() else "",
                 "shown": None if reading.shown is None else reading.shown.to_dict("split"),
                 "rows": [r for r in rows if r["study"] == study.name and r["item"] == item.name],
@@ -99,7 +112,9 @@ def embedded(figure: Path, colours: int = 255) -> str:
     original = figure.read_bytes()
     with Image.open(io.BytesIO(original)) as image:
         small, held = io.BytesIO(), image.convert("RGB")
-        held.quantize(colours, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+        held.quantize(colours, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
+            small, "PNG", optimize=True
+        )
     return base64.b64encode(min(original, small.getvalue(), key=len)).decode()
 
 
@@ -116,7 +131,9 @@ def _machine(origin: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _settings(config: Any) -> list[tuple[str, str]]:
-    """Dotted keys and values of a table's config; of several cells, what differs between them is listed."""
+    """Dotted keys and values of a table's config; of several cells, what differs between them is
+    listed.
+    """
     if not isinstance(config, dict):
         return []
     cells = [dict(store.flatten(cell)) for cell in config.get("cells", [])]
@@ -152,10 +169,14 @@ def _bench(path: Path) -> dict[str, Any]:
 
 
 def _effect(effect: dict[str, str] | None, found: dict[str, Any]) -> str:
-    """What an erratum does, in words and a number of ours; nothing if it says none or was not computed."""
+    """What an erratum does, in words and a number of ours; nothing if it says none or was not
+    computed.
+    """
     if effect is None or effect["id"] not in found:
         return ""
-    texts = [studies.number_text(found[i][0].value, found[i][0].se) for i in _ids(effect) if i in found]
+    texts = [
+        studies.number_text(found[i][0].value, found[i][0].se) for i in _ids(effect) if i in found
+    ]
     return f"{effect['says']}: {' instead of '.join(texts)} {effect['unit']}".strip()
 
 

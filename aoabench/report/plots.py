@@ -13,14 +13,30 @@ STYLE = Path(__file__).with_name("house.mplstyle")
 COLUMN = 3.5  # inches: width of one column in print
 PAGE = 7.2  # inches: width of two columns
 
-# Okabe and Ito's colours, told apart by colour-blind readers; one colour per measurement model everywhere
-COLOURS = {"vmf": "#0072B2", "ae_nominal": "#D55E00", "ae_fitted": "#E69F00", "ae_adaptive": "#009E73"}
+# Okabe and Ito's colours, told apart by colour-blind readers; one colour per measurement model
+# everywhere
+COLOURS = {
+    "vmf": "#0072B2",
+    "ae_nominal": "#D55E00",
+    "ae_fitted": "#E69F00",
+    "ae_adaptive": "#009E73",
+}
 GREY = "#555555"
-LABELS = {"vmf": "VMF", "ae_nominal": "AE-nominal", "ae_fitted": "AE-fitted", "ae_adaptive": "AE-adaptive"}
+LABELS = {
+    "vmf": "VMF",
+    "ae_nominal": "AE-nominal",
+    "ae_fitted": "AE-fitted",
+    "ae_adaptive": "AE-adaptive",
+}
 MARKERS = {"vmf": "o", "ae_nominal": "s", "ae_fitted": "D", "ae_adaptive": "^"}
 
 
-BOUND = {"color": "black", "lw": 1.2, "ls": "--", "zorder": 5}  # the square root of the Cramér-Rao bound, everywhere
+BOUND = {
+    "color": "black",
+    "lw": 1.2,
+    "ls": "--",
+    "zorder": 5,
+}  # the square root of the Cramér-Rao bound, everywhere
 BOUND_LABEL = "square root of the CRB"
 # What a file says of its making would differ from one day to the next: left out
 _METADATA: dict[str, dict[str, Any]] = {
@@ -41,7 +57,9 @@ def new(
     return plt.subplots(rows, cols, figsize=size, layout="constrained", **kwargs)
 
 
-def save(make: Callable[[], Figure], path: Path, formats: tuple[str, ...] = ("png",), dpi: int = 200) -> Path:
+def save(
+    make: Callable[[], Figure], path: Path, formats: tuple[str, ...] = ("png",), dpi: int = 200
+) -> Path:
     """Draw in the house style and write `path` in each format; the files depend on the data alone."""
     import matplotlib.pyplot as plt
 
@@ -64,10 +82,14 @@ def bound_ratio(axis: Any, label: str | None = None) -> None:
     axis.axhline(1, label=label, **BOUND)
 
 
-def boxes(axis: Any, groups: list[Any], positions: list[float], colours: list[str], width: float = 0.6) -> None:
-    """Horizontal boxes from rows with q05, q25, q50, q75, q95, minimum and maximum: the levels of Nurminen's Fig. 4.
+def boxes(
+    axis: Any, groups: list[Any], positions: list[float], colours: list[str], width: float = 0.6
+) -> None:
+    """Horizontal boxes from rows with q05, q25, q50, q75, q95, minimum and maximum: the levels of
+    Nurminen's Fig. 4.
 
-    The box spans 25..75 %, the line is the median, whiskers reach 5 and 95 %, asterisks mark minimum and maximum.
+    The box spans 25..75 %, the line is the median, whiskers reach 5 and 95 %, asterisks mark
+    minimum and maximum.
     """
     statistics = [
         {

@@ -1,4 +1,6 @@
-"""The little Markdown that the studies' readings use, as HTML: headings, paragraphs, lists, tables, code, emphasis."""
+"""The little Markdown that the studies' readings use, as HTML: headings, paragraphs, lists, tables,
+code, emphasis.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def html(text: str, level: int = 4) -> str:
             out.append(_table(block))
         elif re.match(r"([-*]|\d+\.) ", first):
             tag = "ul" if first[0] in "-*" else "ol"
-            items = "".join(f"<li>{inline(re.sub(r'^([-*]|[0-9]+[.]) ', '', line))}</li>" for line in block)
+            items = "".join(
+                f"<li>{inline(re.sub(r'^([-*]|[0-9]+[.]) ', '', line))}</li>" for line in block
+            )
             out.append(f"<{tag}>{items}</{tag}>")
         else:
             out.append(f"<p>{inline(' '.join(block))}</p>")
@@ -74,10 +78,16 @@ def _kind(line: str) -> str:
 
 
 def _table(lines: list[str]) -> str:
-    rows = [re.split(r"(?<!\\)\|", line.strip().strip("|")) for line in lines if not re.fullmatch(r"[|:\- ]+", line)]
+    rows = [
+        re.split(r"(?<!\\)\|", line.strip().strip("|"))
+        for line in lines
+        if not re.fullmatch(r"[|:\- ]+", line)
+    ]
 
     def row(cells: list[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{inline(cell.strip())}</{tag}>" for cell in cells) + "</tr>"
+        return (
+            "<tr>" + "".join(f"<{tag}>{inline(cell.strip())}</{tag}>" for cell in cells) + "</tr>"
+        )
 
     body = "".join(row(cells, "td") for cells in rows[1:])
     return f'<div class="scroll"><table><thead>{row(rows[0], "th")}</thead><tbody>{body}</tbody></table></div>'

@@ -31,7 +31,8 @@ class Item:
     figure: bool = True
     experiment: str | None = None
     scale: Any = None  # quick, medium and paper: the overrides of an item with an experiment
-    reads: str = "replications"  # what its function gets: their tidy frame, or (cell, {estimator: fixes}) of each cell
+    # what its function gets: their tidy frame, or (cell, {estimator: fixes}) of each cell
+    reads: str = "replications"
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,9 @@ class Study:
 
     @property
     def figures(self) -> ModuleType:
-        """figures.py: per item a function of its table that draws it, and one, NAME_values, that reads its numbers."""
+        """figures.py: per item a function of its table that draws it, and one, NAME_values, that
+        reads its numbers.
+        """
         return _module(self.folder / "figures.py")
 
 
@@ -74,7 +77,9 @@ def load(name: str) -> Study:
     spec = read("study.yaml")
     items = tuple(Item(name=key, **fields) for key, fields in spec["items"].items())
     printed, errata = tuple(read("printed.yaml")), tuple(read("errata.yaml"))
-    return Study(name, folder, spec["title"], spec["cite"], items, printed, errata, spec.get("schematic", ""))
+    return Study(
+        name, folder, spec["title"], spec["cite"], items, printed, errata, spec.get("schematic", "")
+    )
 
 
 @cache
@@ -100,7 +105,13 @@ def figure_path(results: Path, study: Study, item: Item) -> Path:
 
 
 OTHER_VERSION = "the table is of another version"
-_UNFIT = (LookupError, AttributeError, TypeError, ValueError, OSError)  # from reading a table for what it lacks
+_UNFIT = (
+    LookupError,
+    AttributeError,
+    TypeError,
+    ValueError,
+    OSError,
+)  # from reading a table for what it lacks
 
 
 def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
@@ -112,7 +123,8 @@ def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
 
 
 def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:
-    """Draw an item's figure from its stored table, if it has both; returns what was wrong with the table, or "".
+    """Draw an item's figure from its stored table, if it has both; returns what was wrong with the
+    table, or "".
 
     A figure that does not come out of its table does not stay either.
     """
@@ -135,7 +147,9 @@ class Reading:
     """What an item's stored table says."""
 
     stored: bool
-    values: dict[str, tuple[Estimate, float]]  # by id, with the samples they rest on (NaN: not sampled)
+    values: dict[
+        str, tuple[Estimate, float]
+    ]  # by id, with the samples they rest on (NaN: not sampled)
     shown: pd.DataFrame | None = None  # texts to show as a table, where figures.py has NAME_table
     problem: str = ""  # why a stored table says nothing
 
@@ -150,15 +164,32 @@ def read(study: Study, item: Item, results: Path) -> Reading:
         shown = getattr(study.figures, f"{item.name}_table", lambda _: None)(frame)
     except _UNFIT:
         return Reading(True, {}, problem=OTHER_VERSION)
-    pairs = {key: value if isinstance(value, tuple) else (value, float("nan")) for key, value in found.items()}
+    pairs = {
+        key: value if isinstance(value, tuple) else (value, float("nan"))
+        for key, value in found.items()
+    }
     return Reading(True, pairs, shown)
 
 
-VERDICT_COLUMNS = ("study", "item", "id", "what", "printed", "ours", "se", "unit", "verdict", "reason", "claim")
+VERDICT_COLUMNS = (
+    "study",
+    "item",
+    "id",
+    "what",
+    "printed",
+    "ours",
+    "se",
+    "unit",
+    "verdict",
+    "reason",
+    "claim",
+)
 
 
 def verdicts(studies: list[Study], results: Path) -> pd.DataFrame:
-    """A row for each printed number and claim of the studies, its verdict computed from the stored tables."""
+    """A row for each printed number and claim of the studies, its verdict computed from the stored
+    tables.
+    """
     import pandas as pd
 
     rows = []
@@ -176,24 +207,45 @@ def verdicts(studies: list[Study], results: Path) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(VERDICT_COLUMNS))
 
 
-def _judge(study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate, float]]) -> dict[str, Any]:
+def _judge(
+    study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate, float]]
+) -> dict[str, Any]:
     if entry["item"] not in {item.name for item in study.items}:
-        raise UserError(f"{study.folder / 'printed.yaml'}: {entry['id']}: item {entry['item']!r} is not in study.yaml")
+        raise UserError(
+            f"{study.folder / 'printed.yaml'}: {entry['id']}: item {entry['item']!r} is not in study.yaml"
+        )
     ours, samples = found.get(entry["id"], (None, float("nan")))
     claim = "claim" in entry
     limits: Any = entry.get("printed")
     if claim:
         low, high = entry["claim"]
-        limits = (float("-inf") if low is None else float(low), float("inf") if high is None else float(high))
+        limits = (
+            float("-inf") if low is None else float(low),
+            float("inf") if high is None else float(high),
+        )
     sampling = 0.0
     if ours is not None and "printed_samples" in entry and samples == samples:
         sampling = ours.se * (samples / entry["printed_samples"]) ** 0.5
     group = [e for e in study.printed if e.get("group") and e.get("group") == entry.get("group")]
     theirs = [found[e["id"]][0].value for e in group if e["id"] in found]
-    in_kind = bool(group) and len(theirs) == len(group) and statistics.same_order([e["printed"] for e in group], theirs)
-    strict, z, rounding = entry.get("strict", False), entry.get("z", 3.0), entry.get("rounding", 0.0)
-    verdict = statistics.verdict(limits, rounding, ours, printed_se=sampling, in_kind=in_kind, strict=strict, z=z)
-    reason = entry.get("reason", "") if verdict in (statistics.NOT_REPRODUCIBLE, statistics.IN_KIND) else ""
+    in_kind = (
+        bool(group)
+        and len(theirs) == len(group)
+        and statistics.same_order([e["printed"] for e in group], theirs)
+    )
+    strict, z, rounding = (
+        entry.get("strict", False),
+        entry.get("z", 3.0),
+        entry.get("rounding", 0.0),
+    )
+    verdict = statistics.verdict(
+        limits, rounding, ours, printed_se=sampling, in_kind=in_kind, strict=strict, z=z
+    )
+    reason = (
+        entry.get("reason", "")
+        if verdict in (statistics.NOT_REPRODUCIBLE, statistics.IN_KIND)
+        else ""
+    )
     if ours is not None and ours.value == ours.value and ours.se != ours.se:
         reason = "too few cases to tell a standard error"
     if ours is not None and limits is not None and verdict != statistics.NOT_COMPUTED:
@@ -202,13 +254,18 @@ def _judge(study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate,
             reason = doubt
             verdict = statistics.NOT_REPRODUCIBLE if verdict == statistics.REPRODUCED else verdict
     if ours is not None and "tie" in entry and abs(ours.value) + z * ours.se <= entry["tie"]:
-        verdict, reason = statistics.IN_KIND, f"a tie: within ± {entry['tie']:g} {entry.get('unit', '')}".strip()
+        verdict, reason = (
+            statistics.IN_KIND,
+            f"a tie: within ± {entry['tie']:g} {entry.get('unit', '')}".strip(),
+        )
     return {
         "study": study.name,
         "item": entry["item"],
         "id": entry["id"],
         "what": entry["what"],
-        "printed": entry.get("says", "") if claim else printed_text(limits, entry.get("rounding", 0.0)),
+        "printed": entry.get("says", "")
+        if claim
+        else printed_text(limits, entry.get("rounding", 0.0)),
         "ours": float("nan") if ours is None else ours.value,
         "se": float("nan") if ours is None else ours.se,
         "unit": entry.get("unit", ""),
@@ -224,7 +281,9 @@ def printed_text(value: float | None, rounding: float) -> str:
         return "-"
     from math import floor, log10
 
-    return f"{value:.{max(0, -floor(log10(2 * rounding) + 1e-9))}f}" if rounding > 0 else f"{value:g}"
+    return (
+        f"{value:.{max(0, -floor(log10(2 * rounding) + 1e-9))}f}" if rounding > 0 else f"{value:g}"
+    )
 
 
 def number_text(value: float, se: float) -> str:
@@ -258,11 +317,20 @@ def verdict_text(rows: pd.DataFrame) -> str:
     ]
     head = ("study", "item", "quantity", "printed", "ours ± s.e.", "verdict")
     widths = [max(len(str(line[i])) for line in [head, *shown]) for i in range(len(head))]
-    lines = ["  ".join(str(cell).ljust(w) for cell, w in zip(line, widths)).rstrip() for line in [head, *shown]]
+    lines = [
+        "  ".join(str(cell).ljust(w) for cell, w in zip(line, widths)).rstrip()
+        for line in [head, *shown]
+    ]
     counts = rows["verdict"].value_counts()
     open_ = int(rows["reason"].str.startswith("undecided").sum())
     total = ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
     total += f" ({open_} of these undecided: more replications would tell)" if open_ else ""
     return "\n".join(
-        [lines[0], "-" * len(lines[0]), *lines[1:], "", f"{len(rows)} printed numbers and claims: {total}"]
+        [
+            lines[0],
+            "-" * len(lines[0]),
+            *lines[1:],
+            "",
+            f"{len(rows)} printed numbers and claims: {total}",
+        ]
     )

@@ -13,20 +13,37 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ELLIPSES = 40  # so many at most
-COMPONENTS = {"azimuth_rad": "azimuth", "elevation_rad": "elevation", "x": "x", "y": "y", "z": "z", "range_m": "range"}
+COMPONENTS = {
+    "azimuth_rad": "azimuth",
+    "elevation_rad": "elevation",
+    "x": "x",
+    "y": "y",
+    "z": "z",
+    "range_m": "range",
+}
 
 
 def figure(
-    frame: pd.DataFrame, title: str, anchors: np.ndarray, walls: np.ndarray | None = None, moving: bool = True
+    frame: pd.DataFrame,
+    title: str,
+    anchors: np.ndarray,
+    walls: np.ndarray | None = None,
+    moving: bool = True,
 ) -> Figure:
-    """Plan and errors of a trace (see `replaying.replay`), below them innovations and effective particles, if any.
+    """Plan and errors of a trace (see `replaying.replay`), below them innovations and effective
+    particles, if any.
 
-    anchors (B, 3) m, walls (W, 2, 2) m or None; `moving`: the positions are one way, not separate points.
+    anchors (B, 3) m, walls (W, 2, 2) m or None; `moving`: the positions are one way, not separate
+    points.
     """
     seen = [c for c in frame.columns if c.startswith("innovation_") and not c.endswith("range_m")]
     panels = [_errors, *([_innovations] if seen else []), *([_effective] if "ess" in frame else [])]
     made, axes = plots.new(
-        plots.PAGE, 3.4 if len(panels) < 3 else 4.2, rows=len(panels), cols=2, gridspec_kw={"width_ratios": [1, 1.1]}
+        plots.PAGE,
+        3.4 if len(panels) < 3 else 4.2,
+        rows=len(panels),
+        cols=2,
+        gridspec_kw={"width_ratios": [1, 1.1]},
     )
     grid = np.atleast_2d(axes)
     for axis in grid[:, 0]:
@@ -44,7 +61,9 @@ def figure(
     return made
 
 
-def _plan(axis: Any, frame: pd.DataFrame, anchors: np.ndarray, walls: np.ndarray | None, moving: bool) -> None:
+def _plan(
+    axis: Any, frame: pd.DataFrame, anchors: np.ndarray, walls: np.ndarray | None, moving: bool
+) -> None:
     from matplotlib.collections import LineCollection
 
     if walls is not None:
@@ -60,10 +79,19 @@ def _plan(axis: Any, frame: pd.DataFrame, anchors: np.ndarray, walls: np.ndarray
         axis.plot(x, y, ".", color=plots.GREY, markersize=3, label="truth")
         both = np.stack([np.stack([x, y], axis=-1), np.stack([at, to], axis=-1)], axis=1)
         known = np.isfinite(both).all((1, 2))
-        axis.add_collection(LineCollection(list(both[known]), colors=blue, linewidths=0.6, label="to the estimate"))
+        axis.add_collection(
+            LineCollection(list(both[known]), colors=blue, linewidths=0.6, label="to the estimate")
+        )
     failed = (frame["outcome"] == "failed").to_numpy()
     if failed.any():
-        axis.plot(x[failed], y[failed], "x", color=plots.COLOURS["ae_nominal"], markersize=4, label="failed")
+        axis.plot(
+            x[failed],
+            y[failed],
+            "x",
+            color=plots.COLOURS["ae_nominal"],
+            markersize=4,
+            label="failed",
+        )
     near = np.isfinite(anchors[:, :2]).all(axis=1)
     axis.plot(
         *anchors[near, :2].T,
@@ -94,10 +122,18 @@ def _ellipses(axis: Any, frame: pd.DataFrame, colour: str) -> None:
 
 
 def _errors(axis: Any, frame: pd.DataFrame) -> None:
-    axis.plot(frame["step"], frame["error_3d_m"], color=plots.COLOURS["vmf"], linewidth=1.0, label="error")
+    axis.plot(
+        frame["step"], frame["error_3d_m"], color=plots.COLOURS["vmf"], linewidth=1.0, label="error"
+    )
     if "cov_xx_m2" in frame:
-        stated = np.sqrt(np.maximum(frame[["cov_xx_m2", "cov_yy_m2", "cov_zz_m2"]].sum(axis=1, skipna=False), 0.0))
-        axis.fill_between(frame["step"], 0, stated, color=plots.GREY, alpha=0.2, linewidth=0, label="stated")
+        stated = np.sqrt(
+            np.maximum(
+                frame[["cov_xx_m2", "cov_yy_m2", "cov_zz_m2"]].sum(axis=1, skipna=False), 0.0
+            )
+        )
+        axis.fill_between(
+            frame["step"], 0, stated, color=plots.GREY, alpha=0.2, linewidth=0, label="stated"
+        )
     axis.set_ylabel("3-D error [m]")
     axis.set_ylim(bottom=0)
     _legend_above(axis)
@@ -105,7 +141,11 @@ def _errors(axis: Any, frame: pd.DataFrame) -> None:
 
 def _innovations(axis: Any, frame: pd.DataFrame) -> None:
     for number, (component, label) in enumerate(COMPONENTS.items()):
-        columns = [c for c in frame.columns if c.startswith("innovation_") and c.split("_", 2)[2] == component]
+        columns = [
+            c
+            for c in frame.columns
+            if c.startswith("innovation_") and c.split("_", 2)[2] == component
+        ]
         if not columns or component == "range_m":
             continue
         angle = component.endswith("_rad")
@@ -124,7 +164,9 @@ def _innovations(axis: Any, frame: pd.DataFrame) -> None:
 
 
 def _legend_above(axis: Any) -> None:
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.96), ncols=3, handlelength=1.5, borderaxespad=0)
+    axis.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 0.96), ncols=3, handlelength=1.5, borderaxespad=0
+    )
 
 
 def _effective(axis: Any, frame: pd.DataFrame) -> None:

@@ -1,4 +1,6 @@
-"""A mobile somewhere in an area with columns of base stations: one fix at each of many positions [Le 2021, IV-B]."""
+"""A mobile somewhere in an area with columns of base stations: one fix at each of many positions
+[Le 2021, IV-B].
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,10 @@ ZONES = ("strip", "disc", "ring", "none")
 class BsGrid:
     """`positions` points, uniform over the box from 0 to `size_m`, the same in every replication.
 
-    `zone` keeps them from the base stations: `strip` wants |x - x_i| and |y - y_i| of at least `clearance_m` for each,
-    `disc` a horizontal distance of that much, `none` nothing; `ring` puts each at exactly that horizontal
-    distance from one of them, to look at the pole. There is no motion and no prior: every fix stands alone.
+    `zone` keeps them from the base stations: `strip` wants |x - x_i| and |y - y_i| of at least
+    `clearance_m` for each, `disc` a horizontal distance of that much, `none` nothing; `ring` puts
+    each at exactly that horizontal distance from one of them, to look at the pole. There is no
+    motion and no prior: every fix stands alone.
     """
 
     name: str
@@ -52,12 +55,17 @@ class BsGrid:
         if self.zone == "ring":
             around = stations[rng.integers(len(stations), size=self.positions)]
             turn = rng.uniform(0, 2 * np.pi, self.positions)
-            x, y = (around[:, :2] + self.clearance_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1)).T
+            x, y = (
+                around[:, :2] + self.clearance_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+            ).T
             return np.stack([x, y, rng.uniform(0, size[2], self.positions)], axis=-1)
         kept, drawn = np.empty((0, 3)), 0
         while len(kept) < self.positions:
             points = size * rng.random((self.positions, 3))
-            kept, drawn = np.concatenate([kept, points[self.allowed(points)]]), drawn + self.positions
+            kept, drawn = (
+                np.concatenate([kept, points[self.allowed(points)]]),
+                drawn + self.positions,
+            )
             if drawn >= 1000 * self.positions:
                 raise UserError(
                     f"scenario.clearance_m={self.clearance_m:g}: a {self.zone} of that width leaves less than a "
@@ -70,7 +78,9 @@ class BsGrid:
         d = np.abs(points[:, None, :2] - self.known_anchors.position[0, None, :, :2])
         far = {"strip": d.min(axis=-1), "disc": np.hypot(d[..., 0], d[..., 1])}
         return (
-            (far[self.zone] >= self.clearance_m).all(axis=1) if self.zone in far else np.ones(len(points), dtype=bool)
+            (far[self.zone] >= self.clearance_m).all(axis=1)
+            if self.zone in far
+            else np.ones(len(points), dtype=bool)
         )
 
     def prior(self, rng: np.random.Generator, truth: Array) -> None:

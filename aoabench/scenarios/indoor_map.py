@@ -1,4 +1,6 @@
-"""A robot on a route through walled corridors, seen by access nodes (ANs) on the walls [Lu 2019, V-A]."""
+"""A robot on a route through walled corridors, seen by access nodes (ANs) on the walls [Lu 2019,
+V-A].
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,15 @@ MOST_STEPS = 1_000_000
 
 @dataclass(frozen=True)
 class IndoorMap:
-    """One trial: the route once, at constant horizontal speed, its corners rounded to arcs, its height linear.
+    """One trial: the route once, at constant horizontal speed, its corners rounded to arcs, its
+    height linear.
 
-    `anchors` and `walls` are files (see `plan`). Of the ANs in line of sight (seen from above) the network reports the
-    `nearest` so many, by true distance, which are also the strongest; null: all. Filters believe `motion` and start
-    from a mean drawn around the true start (position) or zero (velocity, acceleration), with the deviations
-    `prior_sigma_*`. With `truth_from: model` there is no route to follow: the true states are drawn from that prior, at
-    the first waypoint, and from `motion`, so that everything a filter believes is true.
+    `anchors` and `walls` are files (see `plan`). Of the ANs in line of sight (seen from above) the
+    network reports the `nearest` so many, by true distance, which are also the strongest; null:
+    all. Filters believe `motion` and start from a mean drawn around the true start (position) or
+    zero (velocity, acceleration), with the deviations `prior_sigma_*`. With `truth_from: model`
+    there is no route to follow: the true states are drawn from that prior, at the first waypoint,
+    and from `motion`, so that everything a filter believes is true.
     """
 
     name: str
@@ -52,7 +56,9 @@ class IndoorMap:
         for key, most in (("corner_radius_m", 1e6), ("speed_m_s", 1e6), ("dt", 1e3)):
             check_number(key, getattr(self, key), least=1e-3, most=most)
         for key in ("xy_m", "z_m", "velocity_m_s", "acceleration_m_s2"):
-            check_number(f"prior_sigma_{key}", getattr(self, f"prior_sigma_{key}"), least=1e-9, most=1e6)
+            check_number(
+                f"prior_sigma_{key}", getattr(self, f"prior_sigma_{key}"), least=1e-9, most=1e6
+            )
         check_number("nearest", self.nearest, least=1, most=1_000_000, integer=True, optional=True)
         check_number("steps", self.steps, least=1, most=MOST_STEPS, integer=True, optional=True)
         check_choice("truth_from", self.truth_from, ("route", "model"))
@@ -60,23 +66,35 @@ class IndoorMap:
             raise BadValue("steps", self.steps, "null with truth_from=route, whose length decides")
         matrices = getattr(self.motion, "matrices", None)
         if matrices is None or np.shape(matrices(self.dt)[0]) != (9, 9):
-            raise BadValue("motion", self.motion, "a model of position, velocity and acceleration (9 numbers)")
-        _ = self._path, self.known_anchors, self.segments  # reads the files: what is wrong with them is said now
+            raise BadValue(
+                "motion", self.motion, "a model of position, velocity and acceleration (9 numbers)"
+            )
+        _ = (
+            self._path,
+            self.known_anchors,
+            self.segments,
+        )  # reads the files: what is wrong with them is said now
         if not 1 <= self.route_steps <= MOST_STEPS:
-            allowed = f"one that cuts the route of {self._path.length:g} m into 1 to {MOST_STEPS} steps"
+            allowed = (
+                f"one that cuts the route of {self._path.length:g} m into 1 to {MOST_STEPS} steps"
+            )
             raise BadValue("dt", self.dt, allowed)
 
-    # --- the place ----------------------------------------------------------------------------------------------------
+    # --- the place --------------------------------------------------------------------------------
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
         """The files that the scenario was read from."""
         named = (("anchors", self.anchors), ("walls", self.walls))
-        return tuple(plan.find(key, name) for key, name in named if key == "anchors" or name is not None)
+        return tuple(
+            plan.find(key, name) for key, name in named if key == "anchors" or name is not None
+        )
 
     @cached_property
     def known_anchors(self) -> Anchors:
-        """The ANs (1, B, ...); local x looks along the array's broadside, y horizontally left of it, z up."""
+        """The ANs (1, B, ...); local x looks along the array's broadside, y horizontally left of
+        it, z up.
+        """
         return plan.read_anchors("anchors", self.files[0])
 
     @cached_property
@@ -94,12 +112,20 @@ class IndoorMap:
         return self._walls[1]
 
     def line_of_sight(self, points: Array) -> np.ndarray:
-        """Which ANs each point (N, 3) m sees (N, B): no wall crosses the straight way, seen from above."""
+        """Which ANs each point (N, 3) m sees (N, B): no wall crosses the straight way, seen from
+        above.
+        """
         return self._route_sight if self._is_route(points) else self._sight(points)
 
     def reported(self, points: Array) -> np.ndarray:
-        """Which ANs report of a target at each point (N, 3) m (N, B): of those in line of sight the nearest."""
-        return self._route_reported if self._is_route(points) else self._nearest(points, self._sight(points))
+        """Which ANs report of a target at each point (N, 3) m (N, B): of those in line of sight the
+        nearest.
+        """
+        return (
+            self._route_reported
+            if self._is_route(points)
+            else self._nearest(points, self._sight(points))
+        )
 
     def _sight(self, points: Array) -> np.ndarray:
         return plan.in_sight(points, self.known_anchors.position[0], self.segments)
@@ -109,14 +135,20 @@ class IndoorMap:
         B = seen.shape[1]
         if self.nearest is None or self.nearest >= B:
             return seen
-        squared = sum((points[:, None, i] - self.known_anchors.position[:, :, i]) ** 2 for i in range(3))
-        order = np.argsort(np.where(seen, squared, np.inf), axis=1, kind="stable")[:, : self.nearest]
+        squared = sum(
+            (points[:, None, i] - self.known_anchors.position[:, :, i]) ** 2 for i in range(3)
+        )
+        order = np.argsort(np.where(seen, squared, np.inf), axis=1, kind="stable")[
+            :, : self.nearest
+        ]
         chosen = np.zeros_like(seen)
         np.put_along_axis(chosen, order, True, axis=1)
         return chosen & seen
 
     def _is_route(self, points: Array) -> bool:
-        """Whether these are the route's points, whose tables are kept: they are the same in every replication."""
+        """Whether these are the route's points, whose tables are kept: they are the same in every
+        replication.
+        """
         return self.truth_from == "route" and np.array_equal(points, self._route_truth[:, :3])
 
     @cached_property
@@ -127,7 +159,7 @@ class IndoorMap:
     def _route_reported(self) -> np.ndarray:
         return self._nearest(self._route_truth[:, :3], self._route_sight)
 
-    # --- the way ------------------------------------------------------------------------------------------------------
+    # --- the way ----------------------------------------------------------------------------------
 
     @cached_property
     def _path(self) -> RoundedRoute:
@@ -140,7 +172,9 @@ class IndoorMap:
 
     @cached_property
     def _route_truth(self) -> Array:
-        """Position m, velocity m/s and acceleration m/s^2 (T, 9) along the route, from the first step on."""
+        """Position m, velocity m/s and acceleration m/s^2 (T, 9) along the route, from the first
+        step on.
+        """
         arc: Array = self.speed_m_s * self.dt * np.arange(1.0, self.route_steps + 1)
         position, ahead, curvature = self._path.at(arc)
         left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
@@ -168,7 +202,9 @@ class IndoorMap:
     @cached_property
     def _start(self) -> Array:
         """The state (9,) before the first step: at the first waypoint, velocity and acceleration 0."""
-        return np.array([*check_array("route", self.route, (None, 2))[0], self.height_m[0], 0, 0, 0, 0, 0, 0])
+        return np.array(
+            [*check_array("route", self.route, (None, 2))[0], self.height_m[0], 0, 0, 0, 0, 0, 0]
+        )
 
     @cached_property
     def _prior_sigma(self) -> Array:
@@ -178,8 +214,8 @@ class IndoorMap:
     def prior(self, rng: np.random.Generator, truth: Array) -> tuple[Array, Array]:
         """Mean (9,) and covariance (9, 9) of the state before the first step, in m, m/s and m/s^2.
 
-        On the route the position's mean is drawn around the true start, velocity and acceleration are taken as 0. Drawn
-        from the model, the truth varies around the mean instead.
+        On the route the position's mean is drawn around the true start, velocity and acceleration
+        are taken as 0. Drawn from the model, the truth varies around the mean instead.
         """
         mean = self._start.copy()
         if self.truth_from == "route":

@@ -13,10 +13,11 @@ from aoabench.types import Anchors, BadValue, check_array
 
 @dataclass(frozen=True)
 class AnchorLayout:
-    """B anchors: `position_m` (B, 3) and `facing` (B, 3), where each anchor's pole (elevation 90 deg) looks.
+    """B anchors: `position_m` (B, 3) and `facing` (B, 3), where each anchor's pole (elevation 90
+    deg) looks.
 
-    `facing: null` leaves every frame equal to the global one (pole up). `frame_rpy_deg` (roll, pitch, yaw) turns all
-    anchor frames by one further rotation G: R_j becomes G R_j.
+    `facing: null` leaves every frame equal to the global one (pole up). `frame_rpy_deg` (roll,
+    pitch, yaw) turns all anchor frames by one further rotation G: R_j becomes G R_j.
     """
 
     position_m: Sequence[Sequence[float]]
@@ -29,7 +30,11 @@ class AnchorLayout:
         if self.facing is not None:
             direction = check_array("facing", self.facing, (None, 3))
             if len(direction) != len(position):
-                raise BadValue("facing", f"{len(direction)} rows", f"one row per anchor, that is {len(position)}")
+                raise BadValue(
+                    "facing",
+                    f"{len(direction)} rows",
+                    f"one row per anchor, that is {len(position)}",
+                )
             if not np.all(np.linalg.norm(direction, axis=1) > 0):
                 raise BadValue("facing", [0, 0, 0], "a direction of length > 0")
 
@@ -37,7 +42,11 @@ class AnchorLayout:
     def known(self) -> Anchors:
         """Positions (1, B, 3) m and rotations (1, B, 3, 3)."""
         position = np.array(self.position_m, dtype=float)
-        R = np.broadcast_to(np.eye(3), (len(position), 3, 3)) if self.facing is None else facing(self.facing)
+        R = (
+            np.broadcast_to(np.eye(3), (len(position), 3, 3))
+            if self.facing is None
+            else facing(self.facing)
+        )
         if any(self.frame_rpy_deg):
             R = euler(np.deg2rad(self.frame_rpy_deg)) @ R
         return Anchors(position[None], np.array(R)[None])

@@ -1,7 +1,8 @@
 """Tables that users bring: CSV or Parquet, a few columns by name, every mistake with its line.
 
-A CSV file has a header, commas and decimal points; the rows of Parquet are counted from 1. Whatever is wrong raises
-BadValue with the key, the file and what is allowed. Heavy imports stay inside: a list of presets needs none of them.
+A CSV file has a header, commas and decimal points; the rows of Parquet are counted from 1. Whatever
+is wrong raises BadValue with the key, the file and what is allowed. Heavy imports stay inside: a
+list of presets needs none of them.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ def header(key: str, path: object) -> list[str]:
     except (OSError, ValueError, csv.Error) as error:
         raise BadValue(key, path, f"a readable {_KINDS}; {_reason(error)}") from None
     if not any(found):
-        raise BadValue(key, path, f"a {_KINDS} whose first line names its columns; this one is empty there")
+        raise BadValue(
+            key, path, f"a {_KINDS} whose first line names its columns; this one is empty there"
+        )
     return found
 
 
@@ -74,7 +77,8 @@ class Table:
 
     @staticmethod
     def read(key: str, path: str, names: Mapping[str, str]) -> Table:
-        """The columns `names` (ours -> the file's), each of which is there once; rows without any content are left out.
+        """The columns `names` (ours -> the file's), each of which is there once; rows without any
+        content are left out.
 
         An index of the frame is a row's place in the file.
         """
@@ -86,17 +90,23 @@ class Table:
                 import pyarrow.parquet as pq
 
                 frame = pq.read_table(path, columns=list(dict.fromkeys(names.values()))).to_pandas()
-                frame = pd.DataFrame({ours: frame[theirs] for ours, theirs in names.items()}).reset_index(drop=True)
+                frame = pd.DataFrame(
+                    {ours: frame[theirs] for ours, theirs in names.items()}
+                ).reset_index(drop=True)
                 table = Table(key, path, names, frame, ("row", 1))
             else:
                 places = {ours: there.index(theirs) for ours, theirs in names.items()}
                 texts = {place for ours, place in places.items() if ours in TEXTS} | {len(there)}
-                empty: dict[Any, list[str]] = {p: [""] if p in texts else EMPTY for p in range(len(there) + 1)}
+                empty: dict[Any, list[str]] = {
+                    p: [""] if p in texts else EMPTY for p in range(len(there) + 1)
+                }
                 found = pd.read_csv(
                     path,
                     header=None,
                     skiprows=1,
-                    names=range(len(there) + 1),  # one more: cells beyond the header would be lost in silence
+                    names=range(
+                        len(there) + 1
+                    ),  # one more: cells beyond the header would be lost in silence
                     index_col=False,
                     dtype=dict.fromkeys(texts, str),
                     na_values=empty,
@@ -110,7 +120,9 @@ class Table:
                 table = Table(key, path, names, frame, ("line", 2))
                 long = np.flatnonzero(found[len(there)].notna())
                 if len(long):
-                    raise table.bad(f"{len(there)} cells in every row, as in the header; {table.at(long[0])} has more")
+                    raise table.bad(
+                        f"{len(there)} cells in every row, as in the header; {table.at(long[0])} has more"
+                    )
         except BadValue:
             raise
         except (OSError, ValueError) as error:  # pandas and Arrow
@@ -132,8 +144,13 @@ class Table:
         """'line 17 has azimuth_deg=400' for a row of the frame, or 'line 17'."""
         word, first = self.first
         cells = [(self.names[column], self.frame[column].iloc[row]) for column in columns]
-        said = [f"{name}={value!r}" if isinstance(value, str) else f"{name}={value}" for name, value in cells]
-        return f"{word} {self.frame.index[row] + first}" + (f" has {' and '.join(said)}" if said else "")
+        said = [
+            f"{name}={value!r}" if isinstance(value, str) else f"{name}={value}"
+            for name, value in cells
+        ]
+        return f"{word} {self.frame.index[row] + first}" + (
+            f" has {' and '.join(said)}" if said else ""
+        )
 
     def check(self, column: str, wrong: np.ndarray, allowed: str) -> None:
         """Raise BadValue with the first row that `wrong` (N,) marks."""
@@ -147,7 +164,9 @@ class Table:
         cells = self.frame[column].dropna()
         if pd.api.types.is_datetime64_any_dtype(cells.dtype):
             return False
-        return pd.api.types.is_numeric_dtype(cells.dtype) or not len(cells) or _is_float(cells.iloc[0])
+        return (
+            pd.api.types.is_numeric_dtype(cells.dtype) or not len(cells) or _is_float(cells.iloc[0])
+        )
 
     def numbers(self, column: str, empty: bool = True) -> Array:
         """A column (N,) of finite numbers, NaN where a cell is empty, if `empty` ones are allowed."""
@@ -160,10 +179,16 @@ class Table:
         elif kind.is_numeric_dtype(cells.dtype):
             value = cells.to_numpy(dtype=float, na_value=np.nan)
         else:
-            value = pd.to_numeric(cells.astype(str).where(cells.notna()), errors="coerce").to_numpy(dtype=float)
+            value = pd.to_numeric(cells.astype(str).where(cells.notna()), errors="coerce").to_numpy(
+                dtype=float
+            )
         absent = cells.isna().to_numpy()
         name = self.names[column]
-        self.check(column, ~np.isfinite(value) & ~absent, f"finite numbers in {name}" + (", or nothing" * empty))
+        self.check(
+            column,
+            ~np.isfinite(value) & ~absent,
+            f"finite numbers in {name}" + (", or nothing" * empty),
+        )
         if not empty:
             self.check(column, absent, f"a number in {name} in every row")
         return value
@@ -176,22 +201,33 @@ class Table:
             return self.numbers(column, empty=False)
         cells = self.frame[column]
         moments = pd.to_datetime(cells, format="ISO8601", utc=True, errors="coerce")
-        self.check(column, moments.isna().to_numpy(), f"a time in {self.names[column]} in every row, all ISO 8601")
+        self.check(
+            column,
+            moments.isna().to_numpy(),
+            f"a time in {self.names[column]} in every row, all ISO 8601",
+        )
         return np.asarray((moments - moments.min()) / pd.Timedelta(seconds=1), dtype=float)
 
     def texts(self, column: str) -> tuple[np.ndarray, list[str]]:
-        """A column as indices (N,) into its different texts, in order of appearance; none may be empty."""
+        """A column as indices (N,) into its different texts, in order of appearance; none may be
+        empty.
+        """
         import pandas as pd
 
         code, distinct = pd.factorize(self.frame[column])
-        texts = [str(int(t) if isinstance(t, float) and t.is_integer() else t).strip() for t in distinct.tolist()]
+        texts = [
+            str(int(t) if isinstance(t, float) and t.is_integer() else t).strip()
+            for t in distinct.tolist()
+        ]
         empty = np.array([*(not text for text in texts), True])  # the last: no value
         self.check(column, empty[code], f"a value in {self.names[column]} in every row")
         merged, ids = pd.factorize(np.array(texts, dtype=object))
         return merged[code], ids.tolist()
 
     def indices(self, column: str, known: Sequence[str], strict: bool) -> np.ndarray:
-        """A column as indices (N,) into the `known` texts; others raise BadValue if `strict`, else they are -1."""
+        """A column as indices (N,) into the `known` texts; others raise BadValue if `strict`, else
+        they are -1.
+        """
         code, ids = self.texts(column)
         place = {text: i for i, text in enumerate(known)}
         index = np.array([place.get(text, -1) for text in ids])[code]
@@ -199,12 +235,14 @@ class Table:
             stranger = ids[code[int(np.flatnonzero(index < 0)[0])]]
             some = ", ".join(known[:20]) + (f", ... ({len(known)})" if len(known) > 20 else "")
             wrong = self.at(int(np.flatnonzero(index < 0)[0]), column)
-            raise self.bad(f"{self.names[column]} one of {some}; {wrong}{did_you_mean(stranger, known)}")
+            raise self.bad(
+                f"{self.names[column]} one of {some}; {wrong}{did_you_mean(stranger, known)}"
+            )
         return index
 
     def shared(self, column: str, group: np.ndarray, count: int, tolerance: float) -> Array:
-        """One number (count,) for each group of rows (N,), NaN without any; those of a group differ by `tolerance`
-        at most."""
+        """One number (count,) for each group of rows (N,), NaN without any; those of a group differ
+        by `tolerance` at most."""
         value, found = self.numbers(column), np.full(count, np.nan)
         known = np.flatnonzero(np.isfinite(value))
         groups, first = np.unique(group[known], return_index=True)
@@ -216,8 +254,11 @@ class Table:
             raise self.bad(f"one {self.names[column]} for all rows of a fix; {one}, {two}")
         return found
 
-    def distinct(self, pair: np.ndarray, values: Mapping[str, Array], which: str, hint: str) -> np.ndarray:
-        """Which rows to keep, one for each number in `pair` (N,): the `first`, the `last`, or any if `which` is error.
+    def distinct(
+        self, pair: np.ndarray, values: Mapping[str, Array], which: str, hint: str
+    ) -> np.ndarray:
+        """Which rows to keep, one for each number in `pair` (N,): the `first`, the `last`, or any
+        if `which` is error.
 
         Rows of one pair with different `values` (N,) raise BadValue then.
         """
@@ -229,9 +270,14 @@ class Table:
         if which == "error":
             mate = first[inverse]
             for value in values.values():
-                differs = np.flatnonzero((value != value[mate]) & ~(np.isnan(value) & np.isnan(value[mate])))
+                differs = np.flatnonzero(
+                    (value != value[mate]) & ~(np.isnan(value) & np.isnan(value[mate]))
+                )
                 if len(differs):
-                    one, two = (self.at(int(row), "anchor", "azimuth") for row in (mate[differs[0]], differs[0]))
+                    one, two = (
+                        self.at(int(row), "anchor", "azimuth")
+                        for row in (mate[differs[0]], differs[0])
+                    )
                     raise self.bad(f"one row per anchor in each fix, or {hint}; {one}, {two}")
         return np.sort(first)
 
@@ -245,22 +291,29 @@ def _is_float(value: Any) -> bool:
 
 
 def read_anchors(key: str, path: str) -> tuple[list[str], Anchors]:
-    """Ids and anchors (1, B, ...) from id, x_m, y_m and, 0 by default, z_m, facing_deg, pitch_deg, roll_deg.
+    """Ids and anchors (1, B, ...) from id, x_m, y_m and, 0 by default, z_m, facing_deg, pitch_deg,
+    roll_deg.
 
-    Rz(facing) Ry(pitch) Rx(roll) turns the anchor's axes from the global ones: with facing alone local x looks along
-    it, y to the left, z up, as in `plan.read_anchors`.
+    Rz(facing) Ry(pitch) Rx(roll) turns the anchor's axes from the global ones: with facing alone
+    local x looks along it, y to the left, z up, as in `plan.read_anchors`.
     """
     there = header(key, path)
     columns = ("id", "x_m", "y_m", "z_m", "facing_deg", "pitch_deg", "roll_deg")
     for name in columns:
         if there.count(name) > 1 or (name in columns[:3] and name not in there):
-            raise BadValue(key, path, f"a file with {', '.join(columns[:3])}, each once; it has {', '.join(there)}")
+            raise BadValue(
+                key,
+                path,
+                f"a file with {', '.join(columns[:3])}, each once; it has {', '.join(there)}",
+            )
     table = Table.read(key, path, {name: name for name in columns if name in there})
     code, ids = table.texts("id")
     again = np.ones(len(code), dtype=bool)
     again[np.unique(code, return_index=True)[1]] = False
     table.check("id", again, "each id once")
     n = len(code)
-    x, y, z, *turns = (table.numbers(c, empty=False) if c in there else np.zeros(n) for c in columns[1:])
+    x, y, z, *turns = (
+        table.numbers(c, empty=False) if c in there else np.zeros(n) for c in columns[1:]
+    )
     axes = [euler(turn).T for turn in np.deg2rad(np.stack(turns[::-1], axis=-1))]
     return ids, Anchors(np.stack([x, y, z], axis=-1)[None], np.stack(axes)[None])

@@ -1,7 +1,8 @@
-"""Floor plans as files: anchors from CSV, walls from GeoJSON or CSV, and which anchors a point sees.
+"""Floor plans as files: anchors from CSV, walls from GeoJSON or CSV, and which anchors a point
+sees.
 
-Local coordinates in m. A file is looked for in the working folder first, then among the shipped plans. Whatever is
-wrong with one raises BadValue with the key, the file and what is allowed.
+Local coordinates in m. A file is looked for in the working folder first, then among the shipped
+plans. Whatever is wrong with one raises BadValue with the key, the file and what is allowed.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ def find(key: str, name: object) -> Path:
 def read_anchors(key: str, path: Path) -> Anchors:
     """Anchors (1, B, ...) from the columns x_m, y_m, z_m, facing_deg.
 
-    The last is the horizontal direction of the array's broadside, counter-clockwise from +x. Local axes: x along the
-    broadside, y horizontally left of it, z up.
+    The last is the horizontal direction of the array's broadside, counter-clockwise from +x. Local
+    axes: x along the broadside, y horizontally left of it, z up.
     """
     table = _table(key, path, ANCHOR_COLUMNS)
     if not len(table):
@@ -49,10 +50,11 @@ def read_anchors(key: str, path: Path) -> Anchors:
 
 
 def read_walls(key: str, path: Path) -> tuple[Array, float | None]:
-    """Walls (W, 2, 2) m, each from one point to another, and the visited area in m^2 if the file has it.
+    """Walls (W, 2, 2) m, each from one point to another, and the visited area in m^2 if the file
+    has it.
 
-    CSV has the columns x0_m, y0_m, x1_m, y1_m. GeoJSON is a FeatureCollection: walls are (Multi)LineStrings, of kind
-    `wall` or of none; a Polygon of kind `visited` is the visited area.
+    CSV has the columns x0_m, y0_m, x1_m, y1_m. GeoJSON is a FeatureCollection: walls are
+    (Multi)LineStrings, of kind `wall` or of none; a Polygon of kind `visited` is the visited area.
     """
     kind = path.suffix.lower()
     if kind == ".csv":
@@ -68,8 +70,9 @@ def read_walls(key: str, path: Path) -> tuple[Array, float | None]:
 
 
 def in_sight(points: Array, anchors: Array, segments: Array | None) -> np.ndarray:
-    """Which anchors (B, 2+) m each point (N, 2+) m sees (N, B): no wall (W, 2, 2) m meets the straight way, seen from
-    above. What touches a wall counts as met, so an anchor on a wall has to stand a little in front of it.
+    """Which anchors (B, 2+) m each point (N, 2+) m sees (N, B): no wall (W, 2, 2) m meets the
+    straight way, seen from above. What touches a wall counts as met, so an anchor on a wall has to
+    stand a little in front of it.
     """
     clear = np.ones((len(points), len(anchors)), dtype=bool)
     if segments is None or not clear.size:
@@ -77,7 +80,9 @@ def in_sight(points: Array, anchors: Array, segments: Array | None) -> np.ndarra
     import shapely
 
     order = np.argsort(-np.hypot(*(segments[:, 1] - segments[:, 0]).T), kind="stable")
-    groups = np.split(order, [len(order) // 8])  # the longest walls first: they hide most, and halve the work
+    groups = np.split(
+        order, [len(order) // 8]
+    )  # the longest walls first: they hide most, and halve the work
     trees = [shapely.STRtree(shapely.linestrings(segments[group])) for group in groups]
     step = max(_AT_ONCE // len(anchors), 1)
     for first in range(0, len(points), step):
@@ -92,7 +97,7 @@ def in_sight(points: Array, anchors: Array, segments: Array | None) -> np.ndarra
     return clear
 
 
-# --- files ------------------------------------------------------------------------------------------------------------
+# --- files ----------------------------------------------------------------------------------------
 
 
 def _text(key: str, path: Path) -> str:
@@ -109,7 +114,9 @@ def _table(key: str, path: Path, columns: tuple[str, ...]) -> Array:
         head = [name.strip() for name in next(lines, [])]
         for name in columns:
             if head.count(name) != 1:
-                raise BadValue(key, str(path), f"a CSV file with the columns {', '.join(columns)}, each once")
+                raise BadValue(
+                    key, str(path), f"a CSV file with the columns {', '.join(columns)}, each once"
+                )
         where = [head.index(name) for name in columns]
         rows = []
         for row in lines:
@@ -127,7 +134,9 @@ def _number(key: str, path: Path, row: list[str], column: int, name: str, line: 
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise BadValue(key, str(path), f"a finite number in every row; line {line} has {name}={cell!r}")
+        raise BadValue(
+            key, str(path), f"a finite number in every row; line {line} has {name}={cell!r}"
+        )
     return value
 
 
@@ -147,9 +156,16 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
     walls, area = [np.empty((0, 2, 2))], None
     for number, feature in enumerate(features):
         node = _mapping(feature)
-        geometry, kind = _mapping(node.get("geometry")), _mapping(node.get("properties")).get("kind", "wall")
+        geometry, kind = (
+            _mapping(node.get("geometry")),
+            _mapping(node.get("properties")).get("kind", "wall"),
+        )
         form, nested = geometry.get("type"), geometry.get("coordinates")
-        if (kind, form) not in (("wall", "LineString"), ("wall", "MultiLineString"), ("visited", "Polygon")):
+        if (kind, form) not in (
+            ("wall", "LineString"),
+            ("wall", "MultiLineString"),
+            ("visited", "Polygon"),
+        ):
             raise bad(
                 "walls (kind wall) as LineString or MultiLineString, the visited area (kind visited) as Polygon; "
                 f"feature {number} has the kind {kind!r} and the geometry {form!r}"
@@ -158,7 +174,9 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
         lines = [_line(part) for part in parts] if isinstance(parts, list) else []
         good = [line for line in lines if line is not None]
         if not good or len(good) < len(lines):
-            raise bad(f"lines of at least two points [x, y] of finite numbers in m; feature {number} has others")
+            raise bad(
+                f"lines of at least two points [x, y] of finite numbers in m; feature {number} has others"
+            )
         if kind == "visited":
             outside, *holes = (_enclosed(line) for line in good)
             area = (area or 0.0) + outside - sum(holes)

@@ -1,4 +1,6 @@
-"""A room at whose reference points a node sends packets: one fix for each packet [Boquet 2024, 6.4]."""
+"""A room at whose reference points a node sends packets: one fix for each packet [Boquet 2024,
+6.4].
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,12 @@ from aoabench.types import Anchors, UserError, check_array, check_number
 
 @dataclass(frozen=True)
 class Room:
-    """A box from 0 to `size_m` with `points_m` (N, 2), each visited for `packets` packets, `height_m` above the floor.
+    """A box from 0 to `size_m` with `points_m` (N, 2), each visited for `packets` packets,
+    `height_m` above the floor.
 
-    The packets of a point are spread evenly over `days` days, in order. A replication is one campaign: every packet of
-    every point, point by point. There is no motion and no prior; estimators know the height and the room's sides.
+    The packets of a point are spread evenly over `days` days, in order. A replication is one
+    campaign: every packet of every point, point by point. There is no motion and no prior;
+    estimators know the height and the room's sides.
     """
 
     name: str
@@ -39,7 +43,9 @@ class Room:
             raise UserError(f"size_m={list(self.size_m)}: allowed: three numbers > 0")
         points = check_array("points_m", self.points_m, (None, 2))
         for i in np.flatnonzero(((points < 0) | (points > size[:2])).any(axis=1)):
-            raise UserError(f"points_m[{i}]={points[i].tolist()}: allowed: points in the room, {list(self.size_m)} m")
+            raise UserError(
+                f"points_m[{i}]={points[i].tolist()}: allowed: points in the room, {list(self.size_m)} m"
+            )
         check_number("height_m", self.height_m, least=0, most=float(size[2]))
         check_number("packets", self.packets, least=1, most=1_000_000, integer=True)
         check_number("days", self.days, least=1, most=self.packets, integer=True)

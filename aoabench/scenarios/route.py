@@ -15,8 +15,8 @@ from aoabench.types import BadValue, check_array
 class RoundedRoute:
     """Pieces of constant curvature, P straight lines and arcs in turn.
 
-    start (P, 2) m, heading (P,) rad at the start, counter-clockwise from +x, curvature (P,) 1/m, > 0 to the left,
-    begin (P,) m along the route, length m of the whole.
+    start (P, 2) m, heading (P,) rad at the start, counter-clockwise from +x, curvature (P,) 1/m, >
+    0 to the left, begin (P,) m along the route, length m of the whole.
     """
 
     start: Array
@@ -29,7 +29,8 @@ class RoundedRoute:
     def through(cls, route: Sequence[Sequence[float]], radius_m: float) -> RoundedRoute:
         """The route through waypoints (K, 2) m with corners of this radius.
 
-        Raises BadValue for fewer than two waypoints, for equal ones in a row, a turn back and too tight a corner.
+        Raises BadValue for fewer than two waypoints, for equal ones in a row, a turn back and too
+        tight a corner.
         """
         points = check_array("route", route, (None, 2))
         if len(points) < 2:
@@ -37,24 +38,38 @@ class RoundedRoute:
         legs = np.diff(points, axis=0)
         lengths = np.hypot(*legs.T)
         for i in np.flatnonzero(lengths < 1e-9):
-            raise BadValue(f"route[{i + 1}]", points[i + 1].tolist(), "a waypoint other than the one before")
+            raise BadValue(
+                f"route[{i + 1}]", points[i + 1].tolist(), "a waypoint other than the one before"
+            )
         heading = np.arctan2(legs[:, 1], legs[:, 0])
         turn = wrap(np.diff(heading))
         for i in np.flatnonzero(np.abs(turn) > np.pi - 1e-3):
             raise BadValue(
-                f"route[{i + 1}]", points[i + 1].tolist(), "a waypoint at which the route does not turn back"
+                f"route[{i + 1}]",
+                points[i + 1].tolist(),
+                "a waypoint at which the route does not turn back",
             )
-        cut = np.concatenate([[0.0], np.tan(np.abs(turn) / 2), [0.0]])  # of a leg by a corner, per m of radius
+        cut = np.concatenate(
+            [[0.0], np.tan(np.abs(turn) / 2), [0.0]]
+        )  # of a leg by a corner, per m of radius
         if np.any(radius_m * (cut[:-1] + cut[1:]) > lengths + 1e-9):
             most = lengths / np.maximum(cut[:-1] + cut[1:], 1e-12)
             least = int(np.argmin(most))
             way = f"the way from waypoint {least} to {least + 1} is {lengths[least]:.4g} m long"
-            raise BadValue("corner_radius_m", radius_m, f"a number <= {np.floor(most[least] * 1e4) / 1e4:g}; {way}")
+            raise BadValue(
+                "corner_radius_m",
+                radius_m,
+                f"a number <= {np.floor(most[least] * 1e4) / 1e4:g}; {way}",
+            )
         ahead = legs / lengths[:, None]
         line = lengths - radius_m * (cut[:-1] + cut[1:])
         # line, arc, line, ..., line; the last arc has length 0
         start = np.stack(
-            [points[:-1] + radius_m * cut[:-1, None] * ahead, points[1:] - radius_m * cut[1:, None] * ahead], 1
+            [
+                points[:-1] + radius_m * cut[:-1, None] * ahead,
+                points[1:] - radius_m * cut[1:, None] * ahead,
+            ],
+            1,
         )
         turns = np.append(turn, 0.0)
         pieces = np.stack([np.maximum(line, 0), radius_m * np.abs(turns)], axis=1).ravel()
@@ -67,9 +82,13 @@ class RoundedRoute:
         )
 
     def at(self, arc_m: Array) -> tuple[Array, Array, Array]:
-        """Positions (N, 2) m, directions (N, 2) and curvatures (N,) 1/m at lengths (N,) m from the start."""
+        """Positions (N, 2) m, directions (N, 2) and curvatures (N,) 1/m at lengths (N,) m from the
+        start.
+        """
         piece = np.searchsorted(self.begin, arc_m, side="right") - 1
         s, k, h = arc_m - self.begin[piece], self.curvature[piece], self.heading[piece]
         chord, middle = s * np.sinc(k * s / (2 * np.pi)), h + k * s / 2
-        position = self.start[piece] + chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=-1)
+        position = self.start[piece] + chord[:, None] * np.stack(
+            [np.cos(middle), np.sin(middle)], axis=-1
+        )
         return position, np.stack([np.cos(h + k * s), np.sin(h + k * s)], axis=-1), k

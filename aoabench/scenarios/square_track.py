@@ -1,4 +1,6 @@
-"""The square track: one lap past anchors whose poles look along two of its sides [Nurminen 2018, IV-D]."""
+"""The square track: one lap past anchors whose poles look along two of its sides [Nurminen 2018,
+IV-D].
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,9 @@ from aoabench.types import Anchors, check_number
 class SquareTrack:
     """A target on a square of side `side_m` from (0, 0) counter-clockwise at height 0.
 
-    Per step of `dt` s it travels l ~ N(q sqrt(2 dt) Gamma(1.5), 2 q^2 dt (1 - Gamma(1.5)^2)) m, q = `q_xy` m/s^(1/2)
-    [(12); negative lengths are kept]; 64 steps of 0.25 s make one lap. Filters believe `motion` and start from a mean
-    drawn from N(true start, prior_sigma_m^2 I).
+    Per step of `dt` s it travels l ~ N(q sqrt(2 dt) Gamma(1.5), 2 q^2 dt (1 - Gamma(1.5)^2)) m, q =
+    `q_xy` m/s^(1/2) [(12); negative lengths are kept]; 64 steps of 0.25 s make one lap. Filters
+    believe `motion` and start from a mean drawn from N(true start, prior_sigma_m^2 I).
     """
 
     name: str

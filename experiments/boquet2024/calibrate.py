@@ -1,12 +1,14 @@
-"""Fit the parameters of `ble_multipath` to what the paper prints, and judge them on campaigns the fit has not seen.
+"""Fit the parameters of `ble_multipath` to what the paper prints, and judge them on campaigns the
+fit has not seen.
 
-    python -m experiments.boquet2024.calibrate [--search 300] [--starts 2] [--evaluations 600] [--fresh 20] [--write]
+    python -m experiments.boquet2024.calibrate [--search 300] [--starts 2] [--evaluations 600]
+    [--fresh 20] [--write]
 
-The fit sees `--seeds` campaigns of root seed 2024, always the same draws, so that the misfit is a function of the
-parameters alone, if not smooth enough for derivatives. It minimises the squared `misfit`s of numbers.py and the log
-ratios to the printed grids by Powell's method, from the `--starts` best of `--search` random points and the shipped.
-The judgement uses `--fresh` campaigns of root seed 1, as the study does. `--write` puts the result into
-configs/noise/ble_multipath.yaml.
+The fit sees `--seeds` campaigns of root seed 2024, always the same draws, so that the misfit is a
+function of the parameters alone, if not smooth enough for derivatives. It minimises the squared
+`misfit`s of numbers.py and the log ratios to the printed grids by Powell's method, from the
+`--starts` best of `--search` random points and the shipped. The judgement uses `--fresh` campaigns
+of root seed 1, as the study does. `--write` puts the result into configs/noise/ble_multipath.yaml.
 """
 
 from __future__ import annotations
@@ -32,9 +34,9 @@ from aoabench.tables import Fixes
 numbers = study.load("boquet2024").numbers
 FIT_SEED, FRESH_SEED = 2024, 1
 METHODS = ("single_anchor_2", "anchor_mean", "vmf_ml")
-GRID_WEIGHT = (
-    0.35  # a log ratio of this much at every point of a grid weighs as much as one misfit of 1 times sqrt(42 / 8)
-)
+# a log ratio of this much at every point of a grid weighs as much as one misfit of 1 times sqrt(42
+# / 8)
+GRID_WEIGHT = 0.35
 
 # what is fitted, with the bounds of each; shares and positive numbers move on their logarithms
 FREE = {
@@ -47,7 +49,11 @@ FREE = {
 }  # fmt: skip
 
 
-LISTS = ("disturbed", "pull", "bias_scale")  # NAME_1, NAME_2 ... are the elements; the first scale is 1
+LISTS = (
+    "disturbed",
+    "pull",
+    "bias_scale",
+)  # NAME_1, NAME_2 ... are the elements; the first scale is 1
 
 
 def noise_of(x: np.ndarray) -> BleMultipath:
@@ -63,13 +69,19 @@ def _room(packets: int) -> Any:
     return compose_cells([*words, f"estimator=[{','.join(METHODS)}]"])[0]
 
 
-def campaigns(noise: BleMultipath, seed: int, count: int, packets: int) -> tuple[Any, dict[str, Fixes]]:
+def campaigns(
+    noise: BleMultipath, seed: int, count: int, packets: int
+) -> tuple[Any, dict[str, Fixes]]:
     """A cell of the room with this noise, and the fixes of `count` campaigns."""
     cell = replace(_room(packets), noise=noise, seed=seed)
-    filters = {f"df_boxes_{round(10 * r):02d}": Discrepancy(r_sigma=r, ties="first") for r in numbers.SWEEP}
+    filters = {
+        f"df_boxes_{round(10 * r):02d}": Discrepancy(r_sigma=r, ties="first") for r in numbers.SWEEP
+    }
     found = run_block(cell.scenario, noise, {**cell.estimators, **filters}, seed, 0, count)
     names = [f.name for f in fields(Fixes)]
-    return cell, {name: Fixes(**{n: block["fixes"][n] for n in names}) for name, block in found.items()}
+    return cell, {
+        name: Fixes(**{n: block["fixes"][n] for n in names}) for name, block in found.items()
+    }
 
 
 def table(noise: BleMultipath, seed: int, count: int, packets: int) -> pd.DataFrame:
@@ -108,7 +120,9 @@ def main() -> None:
     low, high = (np.log([bound[i] for bound in FREE.values()]) for i in (0, 1))
     shipped = BleMultipath(**{k: v for k, v in _shipped().items() if not k.startswith("_")})
     tried = np.random.default_rng(0).uniform(low, high, (args.search, len(low)))
-    tried = np.vstack([np.clip(np.log([_value(shipped, name) for name in FREE]), low + 1e-3, high - 1e-3), tried])
+    tried = np.vstack(
+        [np.clip(np.log([_value(shipped, name) for name in FREE]), low + 1e-3, high - 1e-3), tried]
+    )
     cost = [misfit(x, 3, 8) for x in tried]
     best = None
     for start in np.argsort(cost)[: args.starts]:

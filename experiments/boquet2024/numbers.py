@@ -1,7 +1,7 @@
 """Boquet et al. 2024: the numbers behind each figure, one function per item, each giving one frame.
 
-A replication is a campaign with a channel of its own, so standard errors are over campaigns; what needs a quantile of
-all fixes leaves out one campaign at a time (jackknife). Errors are horizontal.
+A replication is a campaign with a channel of its own, so standard errors are over campaigns; what
+needs a quantile of all fixes leaves out one campaign at a time (jackknife). Errors are horizontal.
 """
 
 from __future__ import annotations
@@ -32,7 +32,12 @@ METHODS = (
     "single_anchor_1", "single_anchor_2", "single_anchor_3", "best_anchor", "rssi_anchor", "anchor_mean", "ls_lines",
     "ls_anchor_discarding", "vmf_ml",
 )  # fmt: skip
-SCORED = ("anchor_mean", "ls_lines", "ls_anchor_discarding", "vmf_ml")  # those that tell how badly anchors agree
+SCORED = (
+    "anchor_mean",
+    "ls_lines",
+    "ls_anchor_discarding",
+    "vmf_ml",
+)  # those that tell how badly anchors agree
 ERRORS = np.round(np.arange(0.0, 6.01, 0.05), 2)  # m, where distribution functions are told
 
 
@@ -42,7 +47,7 @@ def printed_grids() -> dict[str, np.ndarray]:
     return {name: np.array(rows)[::-1].ravel() for name, rows in nodes.items()}
 
 
-# --- statistics over campaigns (R, T) ---------------------------------------------------------------------------------
+# --- statistics over campaigns (R, T) -------------------------------------------------------------
 
 
 def error(f: Fixes) -> np.ndarray:
@@ -56,9 +61,13 @@ def within(e: np.ndarray, limit_m: float = 1.0) -> Estimate:
 
 
 def jackknife(e: np.ndarray, number: Callable[[np.ndarray], float]) -> Estimate:
-    """A number of all errors (R, T), with its standard error from leaving out each campaign in turn."""
+    """A number of all errors (R, T), with its standard error from leaving out each campaign in
+    turn.
+    """
     whole, left = number(e), np.array([number(np.delete(e, i, axis=0)) for i in range(len(e))])
-    return Estimate(whole, float(np.sqrt((len(e) - 1) / len(e) * ((left - left.mean()) ** 2).sum())))
+    return Estimate(
+        whole, float(np.sqrt((len(e) - 1) / len(e) * ((left - left.mean()) ** 2).sum()))
+    )
 
 
 def rms(e: np.ndarray) -> float:
@@ -95,14 +104,19 @@ def only(runs: Runs) -> tuple[Any, dict[str, Fixes]]:
     return next(iter(runs))
 
 
-# --- Figure 2 ---------------------------------------------------------------------------------------------------------
+# --- Figure 2 -------------------------------------------------------------------------------------
 
 ROOM = 10.0  # m, the sides of the standard room
-LAYOUTS = {f"{number} anchor{'s' * (i > 0)}": f"_{i + 1}" for i, number in enumerate(("one", "two", "three", "four"))}
+LAYOUTS = {
+    f"{number} anchor{'s' * (i > 0)}": f"_{i + 1}"
+    for i, number in enumerate(("one", "two", "three", "four"))
+}
 
 
 def standard_room(which: str = "") -> Anchors:
-    """Anchors of scenario=standard_room, A, B and C of Figure 3, or of standard_room_1 ... _4, those of Figure 2."""
+    """Anchors of scenario=standard_room, A, B and C of Figure 3, or of standard_room_1 ... _4,
+    those of Figure 2.
+    """
     words = [f"scenario=standard_room{which}", "noise=ae_normal", "estimator=[anchor_mean]"]
     return compose_cells(words)[0].scenario.known_anchors
 
@@ -113,7 +127,9 @@ def upright(position: np.ndarray) -> Anchors:
 
 
 def fig2(scale: str) -> pd.DataFrame:
-    """GDOP in m at z = 0 over the room for each layout, and what the text says of the single anchor."""
+    """GDOP in m at z = 0 over the room for each layout, and what the text says of the single
+    anchor.
+    """
     step = 0.25 if scale == "quick" else 0.1
     side = np.arange(step / 2, ROOM, step)
     x, y = (a.ravel() for a in np.meshgrid(side, side))
@@ -127,7 +143,9 @@ def fig2(scale: str) -> pd.DataFrame:
     def single(away: float) -> float:
         return float(bounds.gdop(np.array([5.0 + away, 5.0, 0.0]), one, known_z=True))
 
-    least = optimize.minimize_scalar(single, bounds=(1e-4, 5.0), method="bounded", options={"xatol": 1e-6})
+    least = optimize.minimize_scalar(
+        single, bounds=(1e-4, 5.0), method="bounded", options={"xatol": 1e-6}
+    )
     root3 = optimize.brentq(lambda away: single(away) - np.sqrt(3) * single(1e-4), 0.1, 5.0)
     rows += [
         {"layout": "minimum", "x_m": least.x, "y_m": np.nan, "gdop_m": least.fun},
@@ -136,11 +154,15 @@ def fig2(scale: str) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-# --- Figure 3 ---------------------------------------------------------------------------------------------------------
+# --- Figure 3 -------------------------------------------------------------------------------------
 
 
-def single_positions(node: np.ndarray, anchors: np.ndarray, e: np.ndarray, clip: bool) -> np.ndarray:
-    """Positions (N, B, 2) m from each anchor (B, 3) by itself for a node (3,) and angle errors e (2, N, B) rad."""
+def single_positions(
+    node: np.ndarray, anchors: np.ndarray, e: np.ndarray, clip: bool
+) -> np.ndarray:
+    """Positions (N, B, 2) m from each anchor (B, 3) by itself for a node (3,) and angle errors e
+    (2, N, B) rad.
+    """
     a = upright(anchors)
     azimuth, elevation = to_azel(*in_frames(node[None, None], a.position, a.rotation))
     u = to_unit(wrap(azimuth[0] + e[0]), elevation[0] + e[1])
@@ -154,7 +176,9 @@ def normal_errors(n: int, anchors: int) -> np.ndarray:
 
 
 def fig3a(scale: str) -> pd.DataFrame:
-    """Samples at (8.5, 3.0) m from B and of the mean of A and B, unclipped; and 95th percentiles of their errors."""
+    """Samples at (8.5, 3.0) m from B and of the mean of A and B, unclipped; and 95th percentiles of
+    their errors.
+    """
     n = 10_000 if scale == "quick" else 1_000_000
     node, rows = np.array([8.5, 3.0, 0.0]), []
     pair = standard_room().position[0, :2]
@@ -162,9 +186,13 @@ def fig3a(scale: str) -> pd.DataFrame:
         xy = single_positions(node, pair, normal_errors(n, 2), clip)
         for name, found in (("B", xy[:, 1]), ("mean of A and B", xy.mean(axis=1))):
             e = np.hypot(*(found - node[:2]).T)
-            rows.append({"kind": "clipped" if clip else "unclipped", "who": name, "samples": n, **q95(e)})
+            rows.append(
+                {"kind": "clipped" if clip else "unclipped", "who": name, "samples": n, **q95(e)}
+            )
             if not clip:
-                rows += [{"kind": "sample", "who": name, "x_m": p, "y_m": q} for p, q in found[:400]]
+                rows += [
+                    {"kind": "sample", "who": name, "x_m": p, "y_m": q} for p, q in found[:400]
+                ]
     return pd.DataFrame(rows)
 
 
@@ -175,7 +203,9 @@ def q95(e: np.ndarray) -> dict[str, float]:
 
 
 def fig3b(scale: str) -> pd.DataFrame:
-    """RMSE of C alone and of the mean of A and B over the room, positions clipped to it, with standard errors."""
+    """RMSE of C alone and of the mean of A and B over the room, positions clipped to it, with
+    standard errors.
+    """
     n, step = (2_000, 1.0) if scale == "quick" else (1_000_000, 0.5)
     errors, side, rows = normal_errors(n, 3), np.arange(step / 2, ROOM, step), []
     anchors = standard_room().position[0]
@@ -193,7 +223,9 @@ def fig3b(scale: str) -> pd.DataFrame:
 
 
 def fig3c(scale: str) -> pd.DataFrame:
-    """CDF of the mean of A and B over the room for separations of 1 to 9 m, and of C alone (separation 0)."""
+    """CDF of the mean of A and B over the room for separations of 1 to 9 m, and of C alone
+    (separation 0).
+    """
     n, step = (100, 1.0) if scale == "quick" else (2_000, 0.25)
     side, errors = np.arange(step / 2, ROOM, step), normal_errors(n, 2)
     rows = []
@@ -206,13 +238,15 @@ def fig3c(scale: str) -> pd.DataFrame:
                 mean = xy[:, 0] if apart == 0 else xy.mean(axis=1)
                 e = np.sort(np.hypot(*(mean - [x, y]).T))
                 count, total = count + np.searchsorted(e, ERRORS, side="right"), total + n
-        rows += [{"separation_m": apart, "error_m": a, "cdf": c / total} for a, c in zip(ERRORS, count)]
+        rows += [
+            {"separation_m": apart, "error_m": a, "cdf": c / total} for a, c in zip(ERRORS, count)
+        ]
     return pd.DataFrame(rows)
 
 
 def rule(scale: str) -> pd.DataFrame:
-    """(9), (40): RMSE of the mean of one estimate from A and beta from B over that of A alone, against the deviations'
-    ratio; by samples and in closed form."""
+    """(9), (40): RMSE of the mean of one estimate from A and beta from B over that of A alone,
+    against the deviations' ratio; by samples and in closed form."""
     n = 20_000 if scale == "quick" else 1_000_000
     rng = np.random.default_rng(9)
     a, b = rng.standard_normal((2, n, 2))
@@ -227,30 +261,45 @@ def rule(scale: str) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-# --- Figures 5 and 6 --------------------------------------------------------------------------------------------------
+# --- Figures 5 and 6 ------------------------------------------------------------------------------
 
 
 def curve(name: str, e: np.ndarray, **more: Any) -> list[dict[str, Any]]:
-    """Rows of the distribution function of the given errors (R, T), with standard errors over campaigns."""
+    """Rows of the distribution function of the given errors (R, T), with standard errors over
+    campaigns.
+    """
     n = np.isfinite(e).sum(axis=1)
     found = [statistics.ratio((e <= limit).sum(axis=1), n) for limit in ERRORS]
     return [
-        {"method": name, "error_m": limit, "cdf": p.value, "cdf_se": p.se, "fixes": int(n.sum()), **more}
+        {
+            "method": name,
+            "error_m": limit,
+            "cdf": p.value,
+            "cdf_se": p.se,
+            "fixes": int(n.sum()),
+            **more,
+        }
         for limit, p in zip(ERRORS, found)
     ]
 
 
 def fig5(runs: Runs) -> pd.DataFrame:
-    """CDFs of the discrepancy filter for each R_sigma, and with its second stage left out (R_sigma NaN)."""
+    """CDFs of the discrepancy filter for each R_sigma, and with its second stage left out (R_sigma
+    NaN).
+    """
     _, fixes = only(runs)
     rows = []
     for r, f in filters(fixes).items():
         rows += curve(f"df {r:g}", error(f), r_sigma=r, lost=lost(f).value)
-    return pd.DataFrame(rows + curve("no vote", error(fixes["df_without_vote"]), r_sigma=np.nan, lost=0.0))
+    return pd.DataFrame(
+        rows + curve("no vote", error(fixes["df_without_vote"]), r_sigma=np.nan, lost=0.0)
+    )
 
 
 def fig6(runs: Runs) -> pd.DataFrame:
-    """RMSE, CEP90, P(error <= 1 m) and both discard ratios against R_sigma; and their steps between R_sigmas."""
+    """RMSE, CEP90, P(error <= 1 m) and both discard ratios against R_sigma; and their steps between
+    R_sigmas.
+    """
     _, fixes = only(runs)
     found, rows, before = filters(fixes), [], None
     for r in sorted(found):
@@ -266,18 +315,22 @@ def fig6(runs: Runs) -> pd.DataFrame:
         for key, value in numbers.items():
             row |= {key: value.value, f"{key}_se": value.se}
         if before is not None:  # paired: the same packets
-            step = statistics.mean(np.mean((before.outcome == 1).astype(float) - (f.outcome == 1), axis=1))
+            step = statistics.mean(
+                np.mean((before.outcome == 1).astype(float) - (f.outcome == 1), axis=1)
+            )
             row |= {"lost_less": step.value, "lost_less_se": step.se}
         rows.append(row)
         before = f
     return pd.DataFrame(rows)
 
 
-# --- Figure 7 ---------------------------------------------------------------------------------------------------------
+# --- Figure 7 -------------------------------------------------------------------------------------
 
 
 def difference(a: np.ndarray, b: np.ndarray, limit_m: float = 1.0) -> Estimate:
-    """P(error <= limit) of errors a minus that of errors b (R, T), paired over campaigns (delta method)."""
+    """P(error <= limit) of errors a minus that of errors b (R, T), paired over campaigns (delta
+    method).
+    """
     parts = []
     for e in (a, b):
         hit, n = (e <= limit_m).sum(axis=1).astype(float), np.isfinite(e).sum(axis=1).astype(float)
@@ -296,7 +349,9 @@ def at_lost(fixes: dict[str, Fixes], share: float) -> tuple[float, Fixes]:
 
 
 def fig7(runs: Runs) -> pd.DataFrame:
-    """CDFs of all methods, the discrepancy filter in three readings, and each method on the fixes that those accept."""
+    """CDFs of all methods, the discrepancy filter in three readings, and each method on the fixes
+    that those accept.
+    """
     _, fixes = only(runs)
     df = {"df R_sigma = 1": filters(fixes)[1.0], "df R_sigma = 0.2": filters(fixes)[0.2]}
     r, f = at_lost(fixes, 0.2)
@@ -314,8 +369,9 @@ def fig7(runs: Runs) -> pd.DataFrame:
 def ranking(runs: Runs) -> pd.DataFrame:
     """P(error <= 1 m) of each method minus that of others, paired over campaigns.
 
-    `at`: `all` (each on its own fixes), `accepted` (both on the fixes that the filter gives), `coverage` (the method
-    rejects the fixes of the worst score until it gives as many as the filter).
+    `at`: `all` (each on its own fixes), `accepted` (both on the fixes that the filter gives),
+    `coverage` (the method rejects the fixes of the worst score until it gives as many as the
+    filter).
     """
     _, fixes = only(runs)
     rows = []
@@ -323,7 +379,16 @@ def ranking(runs: Runs) -> pd.DataFrame:
     def add(at: str, name: str, other: str, a: np.ndarray, b: np.ndarray) -> None:
         d = difference(a, b)
         share = np.isfinite(a).mean()
-        rows.append({"at": at, "method": name, "other": other, "more": d.value, "more_se": d.se, "coverage": share})
+        rows.append(
+            {
+                "at": at,
+                "method": name,
+                "other": other,
+                "more": d.value,
+                "more_se": d.se,
+                "coverage": share,
+            }
+        )
 
     for r, f in filters(fixes).items():
         e = error(f)
@@ -341,7 +406,8 @@ def ranking(runs: Runs) -> pd.DataFrame:
 
 
 def thresholded(f: Fixes, coverage: float) -> np.ndarray:
-    """Errors (R, T) with the fixes of the worst scores rejected, so that this share of all is given.
+    """Errors (R, T) with the fixes of the worst scores rejected, so that this share of all is
+    given.
 
     A fix without a score (one anchor alone) counts as the worst: nothing vouches for it.
     """
@@ -354,7 +420,9 @@ def thresholded(f: Fixes, coverage: float) -> np.ndarray:
 
 
 def rejection(runs: Runs) -> pd.DataFrame:
-    """P(error <= 1 m) and RMSE against coverage: scores thresholded, and the discrepancy filter's R_sigma sweep."""
+    """P(error <= 1 m) and RMSE against coverage: scores thresholded, and the discrepancy filter's
+    R_sigma sweep.
+    """
     _, fixes = only(runs)
     rows = []
 
@@ -375,12 +443,12 @@ def rejection(runs: Runs) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-# --- Figure 8 ---------------------------------------------------------------------------------------------------------
+# --- Figure 8 -------------------------------------------------------------------------------------
 
 
 def fig8(runs: Runs) -> pd.DataFrame:
-    """Per method and point: the median error as a mean over campaigns, its standard error and its spread from campaign
-    to campaign (5 and 95 %), and the printed one."""
+    """Per method and point: the median error as a mean over campaigns, its standard error and its
+    spread from campaign to campaign (5 and 95 %), and the printed one."""
     cell, fixes = only(runs)
     points = np.array(cell.scenario.points_m)
     printed = printed_grids()
@@ -400,16 +468,25 @@ def fig8(runs: Runs) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-# --- what the synthetic campaign was fitted to ------------------------------------------------------------------------
+# --- what the synthetic campaign was fitted to ----------------------------------------------------
 
-DAYS = {"azimuth_mean": (3.2, 1.3), "azimuth_sd": (8.1, 2.3), "elevation_mean": (4.7, 5.9), "elevation_sd": (11.1, 8.2)}
+DAYS = {
+    "azimuth_mean": (3.2, 1.3),
+    "azimuth_sd": (8.1, 2.3),
+    "elevation_mean": (4.7, 5.9),
+    "elevation_sd": (11.1, 8.2),
+}
 SWEEP = {0.4: (0.86, 0.52), 2.0: (0.69, 0.10)}  # R_sigma: P(error <= 1 m), R_d
 
 
-def day_statistics(scenario: Any, noise: Any, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
-    """Mean size and standard deviation of the first anchor's angle errors in deg, (campaigns, days) each.
+def day_statistics(
+    scenario: Any, noise: Any, seed: int, first: int, count: int
+) -> dict[str, np.ndarray]:
+    """Mean size and standard deviation of the first anchor's angle errors in deg, (campaigns, days)
+    each.
 
-    The mean of a campaign's day over the room, its size (the paper's are "average errors" of ten places).
+    The mean of a campaign's day over the room, its size (the paper's are "average errors" of ten
+    places).
     """
     found: dict[str, list[list[float]]] = {key: [] for key in DAYS}
     draws = Draws(scenario, noise, seed)
@@ -417,31 +494,50 @@ def day_statistics(scenario: Any, noise: Any, seed: int, first: int, count: int)
     for r in range(first, first + count):
         truth, batch = draws.tile(r, 1)
         true = to_azel(*in_frames(truth[..., :3], a.position, a.rotation))
-        for key, measured, straight in zip(("azimuth", "elevation"), (batch.azimuth, batch.elevation), true):
+        for key, measured, straight in zip(
+            ("azimuth", "elevation"), (batch.azimuth, batch.elevation), true
+        ):
             e = np.rad2deg(wrap(measured[0, :, 0] - straight[0, :, 0]))
             found[f"{key}_mean"].append([abs(np.nanmean(e[days == d])) for d in (0, 1)])
             found[f"{key}_sd"].append([np.nanstd(e[days == d]) for d in (0, 1)])
     return {key: np.array(value) for key, value in found.items()}
 
 
-def misfits(fixes: dict[str, Fixes], days: dict[str, np.ndarray], points: int) -> Iterator[dict[str, Any]]:
-    """A row per printed number that the noise is fitted to: printed, ours with its standard error over campaigns, and
-    the misfit in units of `tolerance`, which weighs the fit."""
+def misfits(
+    fixes: dict[str, Fixes], days: dict[str, np.ndarray], points: int
+) -> Iterator[dict[str, Any]]:
+    """A row per printed number that the noise is fitted to: printed, ours with its standard error
+    over campaigns, and the misfit in units of `tolerance`, which weighs the fit."""
     for r, (p, share) in SWEEP.items():
         f = filters(fixes)[r]
-        yield _misfit(f"P(error <= 1 m) at R_sigma = {r:g}", f"within/{r:g}", p, within(error(f)), 0.02)
+        yield _misfit(
+            f"P(error <= 1 m) at R_sigma = {r:g}", f"within/{r:g}", p, within(error(f)), 0.02
+        )
         yield _misfit(f"R_d at R_sigma = {r:g}", f"lost/{r:g}", share, lost(f), 0.02)
     for key, printed in DAYS.items():
         for d, value in enumerate(printed):
             ours = statistics.mean(days[key][:, d])
-            yield _misfit(f"{key.replace('_', ' ')}, day {d + 1} [deg]", f"days/{key}/{d + 1}", value, ours, 1.5)
+            yield _misfit(
+                f"{key.replace('_', ' ')}, day {d + 1} [deg]",
+                f"days/{key}/{d + 1}",
+                value,
+                ours,
+                1.5,
+            )
     for name, grid in printed_grids().items():
         if name in fixes:
             m = medians(error(fixes[name]), points)
             yield _misfit(
-                f"mean of {name}'s medians [m]", f"grid/{name}", grid.mean(), statistics.mean(np.nanmean(m, 1)), 0.1
+                f"mean of {name}'s medians [m]",
+                f"grid/{name}",
+                grid.mean(),
+                statistics.mean(np.nanmean(m, 1)),
+                0.1,
             )
-            off, inside = jackknife(m, partial(_log_ratio, grid)), jackknife(m, partial(_inside, grid))
+            off, inside = (
+                jackknife(m, partial(_log_ratio, grid)),
+                jackknife(m, partial(_inside, grid)),
+            )
             for key, what, ours in (
                 ("ratio", f"root mean square log ratio to {name}'s grid", off),
                 ("inside", f"share of {name}'s grid within 5..95 % of our campaigns", inside),
@@ -456,12 +552,25 @@ def _log_ratio(grid: np.ndarray, m: np.ndarray) -> float:
 
 def _inside(grid: np.ndarray, m: np.ndarray) -> float:
     """Share of a printed grid (P,) within the middle 90 % of campaigns' medians (R, P)."""
-    return float(np.mean((grid >= np.nanquantile(m, 0.05, axis=0)) & (grid <= np.nanquantile(m, 0.95, axis=0))))
+    return float(
+        np.mean(
+            (grid >= np.nanquantile(m, 0.05, axis=0)) & (grid <= np.nanquantile(m, 0.95, axis=0))
+        )
+    )
 
 
-def _misfit(what: str, key: str, printed: float, ours: Estimate, tolerance: float) -> dict[str, Any]:
+def _misfit(
+    what: str, key: str, printed: float, ours: Estimate, tolerance: float
+) -> dict[str, Any]:
     off = (ours.value - printed) / tolerance
-    return {"what": what, "id": key, "printed": printed, "ours": ours.value, "se": ours.se, "misfit": off}
+    return {
+        "what": what,
+        "id": key,
+        "printed": printed,
+        "ours": ours.value,
+        "se": ours.se,
+        "misfit": off,
+    }
 
 
 def misfit(runs: Runs) -> pd.DataFrame:
@@ -472,11 +581,13 @@ def misfit(runs: Runs) -> pd.DataFrame:
     return pd.DataFrame(list(misfits(fixes, days, len(cell.scenario.points_m))))
 
 
-# --- boxes and exact, errata, time ------------------------------------------------------------------------------------
+# --- boxes and exact, errata, time ----------------------------------------------------------------
 
 
 def boxes(runs: Runs) -> pd.DataFrame:
-    """Boxes against exact ellipses per R_sigma: how often outcome or number of anchors differ, and what each gives."""
+    """Boxes against exact ellipses per R_sigma: how often outcome or number of anchors differ, and
+    what each gives.
+    """
     _, fixes = only(runs)
     exact, rows = filters(fixes, "exact"), []
     for r, f in filters(fixes).items():
@@ -504,8 +615,8 @@ def boxes(runs: Runs) -> pd.DataFrame:
 
 
 def errata(runs: Runs) -> pd.DataFrame:
-    """What each erratum does alone at R_sigma = 1: P(error <= 1 m) put right minus as the paper ran it, in percent
-    points, and the share of the packets that it moves."""
+    """What each erratum does alone at R_sigma = 1: P(error <= 1 m) put right minus as the paper ran
+    it, in percent points, and the share of the packets that it moves."""
     _, fixes = only(runs)
     ran = filters(fixes)[1.0]
     rows = []
@@ -528,9 +639,13 @@ def errata(runs: Runs) -> pd.DataFrame:
 
 
 def speed(scale: str) -> pd.DataFrame:
-    """Time per fix of every method on this machine, serially: median of several passes over the same campaigns."""
+    """Time per fix of every method on this machine, serially: median of several passes over the
+    same campaigns.
+    """
     names = [*METHODS, "discrepancy", "discrepancy_exact"]
-    cell = compose_cells(["scenario=ble_room", "noise=ble_multipath", f"estimator=[{','.join(names)}]"])[0]
+    cell = compose_cells(
+        ["scenario=ble_room", "noise=ble_multipath", f"estimator=[{','.join(names)}]"]
+    )[0]
     draws, rows = Draws(cell.scenario, cell.noise, cell.seed), []
     for name, estimator in cell.estimators.items():
         seconds = []

@@ -29,7 +29,9 @@ SIGMA = "deviation of the angles [deg]"
 
 
 def _curve(axis: Any, rows: pd.DataFrame, x: str, y: str, se: str, **style: Any) -> None:
-    down = np.minimum(3 * rows[se], 0.9 * rows[y].abs())  # a bar to below 0 has no end on a logarithmic axis
+    down = np.minimum(
+        3 * rows[se], 0.9 * rows[y].abs()
+    )  # a bar to below 0 has no end on a logarithmic axis
     axis.errorbar(rows[x], rows[y], yerr=[down, 3 * rows[se]], capsize=2, elinewidth=0.8, **style)
 
 
@@ -41,8 +43,19 @@ def fig5(frame: pd.DataFrame) -> Figure:
     """Positions and base stations from above and from the side [Le 2021, Fig. 5]."""
     figure, axes = new(PAGE, 3.4, cols=2)
     looks = {
-        "position": {"marker": ".", "ls": "", "color": STYLES["ml_kcorr"]["color"], "ms": 2, "label": "position"},
-        "base station": {"marker": "^", "ls": "", "color": STYLES["ml_arctan"]["color"], "label": "base station"},
+        "position": {
+            "marker": ".",
+            "ls": "",
+            "color": STYLES["ml_kcorr"]["color"],
+            "ms": 2,
+            "label": "position",
+        },
+        "base station": {
+            "marker": "^",
+            "ls": "",
+            "color": STYLES["ml_arctan"]["color"],
+            "label": "base station",
+        },
     }
     for kind, look in looks.items():
         points = frame[frame["kind"] == kind]
@@ -54,19 +67,29 @@ def fig5(frame: pd.DataFrame) -> Figure:
     return figure
 
 
-# --- Figures 6 and 7 --------------------------------------------------------------------------------------------------
+# --- Figures 6 and 7 ------------------------------------------------------------------------------
 
 
 def fig6(frame: pd.DataFrame) -> Figure:
     """RMSE of the four estimators with the bound, and ratios to the bound [Le 2021, Fig. 6]."""
     figure, (left, right) = new(PAGE, 3.0, cols=2)
     for name, label in NAMES.items():
-        _curve(left, _of(frame, name), "sigma_deg", "rmse_m", "rmse_se", label=label, **STYLES[name])
+        _curve(
+            left, _of(frame, name), "sigma_deg", "rmse_m", "rmse_se", label=label, **STYLES[name]
+        )
     rows = _of(frame, "ls")
     bound(left, rows["sigma_deg"], rows["bound_m"])
     left.set(xlabel=SIGMA, ylabel="RMSE [m]", yscale="log")
     for name in ("ls", "ml_kcorr"):
-        _curve(right, _of(frame, name), "sigma_deg", "ratio", "ratio_se", label=NAMES[name], **STYLES[name])
+        _curve(
+            right,
+            _of(frame, name),
+            "sigma_deg",
+            "ratio",
+            "ratio_se",
+            label=NAMES[name],
+            **STYLES[name],
+        )
     bound_ratio(right)
     right.set(xlabel=SIGMA, ylabel="RMSE / square root of the CRB")
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
@@ -92,7 +115,15 @@ def fig7(frame: pd.DataFrame) -> Figure:
     """Mean number of iterations of the three iterative estimators [Le 2021, Fig. 7]."""
     figure, axis = new(0.6 * PAGE, 2.8)
     for name in list(NAMES)[1:]:
-        _curve(axis, _of(frame, name), "sigma_deg", "iterations", "iterations_se", label=NAMES[name], **STYLES[name])
+        _curve(
+            axis,
+            _of(frame, name),
+            "sigma_deg",
+            "iterations",
+            "iterations_se",
+            label=NAMES[name],
+            **STYLES[name],
+        )
     axis.set(xlabel=SIGMA, ylabel="mean number of iterations", yscale="log")
     axis.set_yticks(ticks := [2, 3, 5, 10, 20], [str(t) for t in ticks])
     axis.minorticks_off()
@@ -104,12 +135,14 @@ def fig7_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """How many iterations more than the proposed one, paired over positions."""
     others = frame[frame["estimator"].isin(["ml_arctan", "ml_atan2"])]
     return {
-        f"fig7/{r['sigma_deg']:g}/{r['estimator']}/more": Estimate(r["more_iterations"], r["more_se"])
+        f"fig7/{r['sigma_deg']:g}/{r['estimator']}/more": Estimate(
+            r["more_iterations"], r["more_se"]
+        )
         for r in others.to_dict("records")
     }
 
 
-# --- Table I ----------------------------------------------------------------------------------------------------------
+# --- Table I --------------------------------------------------------------------------------------
 
 
 def table1(frame: pd.DataFrame) -> Figure:
@@ -121,14 +154,25 @@ def table1(frame: pd.DataFrame) -> Figure:
     y = -np.arange(len(rows))
     for axis, (column, label) in zip(
         axes,
-        (("share", "share of the fixes [%]"), ("rmse_m", "RMSE, and median (bar) [m]"), ("iterations", "iterations")),
+        (
+            ("share", "share of the fixes [%]"),
+            ("rmse_m", "RMSE, and median (bar) [m]"),
+            ("iterations", "iterations"),
+        ),
     ):
         scale = 100 if column == "share" else 1
         se = scale * rows["rmse_se" if column == "rmse_m" else f"{column}_se"].fillna(0)
         for i in range(len(rows)):
             value = scale * rows[column].iloc[i]
             if value > 0:
-                axis.errorbar(value, y[i], xerr=min(3 * se.iloc[i], 0.9 * value), fmt="o", color=colours[i], capsize=2)
+                axis.errorbar(
+                    value,
+                    y[i],
+                    xerr=min(3 * se.iloc[i], 0.9 * value),
+                    fmt="o",
+                    color=colours[i],
+                    capsize=2,
+                )
         if column == "rmse_m":
             axis.scatter(rows["median_m"], y, marker="|", s=60, color=colours, linewidths=1.5)
         axis.set(xscale="log", xlabel=label)
@@ -148,25 +192,32 @@ def table1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     return found
 
 
-# --- errata, zones, pole ----------------------------------------------------------------------------------------------
+# --- errata, zones, pole --------------------------------------------------------------------------
 
 VARIANTS = {
     "meant": ("as meant", STYLES["ml_kcorr"]),
-    "invariant": ("start from invariant rows (L6)", {"color": "#009E73", "marker": "^", "ls": "--"}),
+    "invariant": (
+        "start from invariant rows (L6)",
+        {"color": "#009E73", "marker": "^", "ls": "--"},
+    ),
     "sign": ("sign as printed (L1)", STYLES["ml_atan2"]),
     "atan2": ("atan2 as printed (L2)", STYLES["ml_arctan"]),
 }
 
 
 def errata(frame: pd.DataFrame) -> Figure:
-    """RMSE of the proposed estimator as meant and with each erratum as printed, and how much more that is."""
+    """RMSE of the proposed estimator as meant and with each erratum as printed, and how much more
+    that is.
+    """
     figure, (left, right) = new(PAGE, 2.9, cols=2)
     for variant, (label, style) in VARIANTS.items():
         rows = _of(frame[frame["variant"] == variant], "ml_kcorr")
         _curve(left, rows, "sigma_deg", "rmse_m", "rmse_se", label=label, **style)
         if variant in ("sign", "invariant"):
             above, se = rows["above_meant_percent"], rows["above_meant_se"]
-            right.errorbar(rows["sigma_deg"], above, yerr=3 * se, capsize=2, elinewidth=0.8, **style)
+            right.errorbar(
+                rows["sigma_deg"], above, yerr=3 * se, capsize=2, elinewidth=0.8, **style
+            )
     rows = _of(frame[frame["variant"] == "meant"], "ml_kcorr")
     bound(left, rows["sigma_deg"], rows["bound_m"])
     left.set(xlabel=SIGMA, ylabel="RMSE of (d) [m]", yscale="log")
@@ -189,8 +240,18 @@ def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 def zones(frame: pd.DataFrame) -> Figure:
     """RMSE over the bound against the deviation, a panel per estimator and a curve per zone."""
     figure, axes = new(PAGE, 4.6, rows=2, cols=2, sharey="row")
-    places = {"ls": axes[0, 0], "ml_kcorr": axes[0, 1], "ml_arctan": axes[1, 0], "ml_atan2": axes[1, 1]}
-    styles = (("#0072B2", "o", "-"), ("#56B4E9", "s", "--"), ("#009E73", "D", "-."), ("#E69F00", "^", ":"))
+    places = {
+        "ls": axes[0, 0],
+        "ml_kcorr": axes[0, 1],
+        "ml_arctan": axes[1, 0],
+        "ml_atan2": axes[1, 1],
+    }
+    styles = (
+        ("#0072B2", "o", "-"),
+        ("#56B4E9", "s", "--"),
+        ("#009E73", "D", "-."),
+        ("#E69F00", "^", ":"),
+    )
     styles += (("#D55E00", "v", "-"),)
     for name, axis in places.items():
         for (colour, marker, line), where in zip(styles, frame["zone"].unique()):
@@ -198,18 +259,26 @@ def zones(frame: pd.DataFrame) -> Figure:
             look = {"color": colour, "marker": marker, "ls": line, "ms": 3, "label": where}
             _curve(axis, rows, "sigma_deg", "ratio", "ratio_se", **look)
         bound_ratio(axis)
-        axis.set(xscale="log", yscale="linear" if name in ("ls", "ml_kcorr") else "log", title=NAMES[name])
+        axis.set(
+            xscale="log",
+            yscale="linear" if name in ("ls", "ml_kcorr") else "log",
+            title=NAMES[name],
+        )
         axis.set_xticks(ticks := [0.5, 1, 2, 4, 8, 15], [f"{t:g}" for t in ticks])
         axis.minorticks_off()
     figure.supxlabel(SIGMA, fontsize=8)
     figure.supylabel("RMSE / square root of the CRB", fontsize=8)
     handles = axes[0, 0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside upper center", ncols=5, title="positions keep from the base stations")
+    figure.legend(
+        *handles, loc="outside upper center", ncols=5, title="positions keep from the base stations"
+    )
     return figure
 
 
 def pole(frame: pd.DataFrame) -> Figure:
-    """RMSE over the bound against the distance from a column of base stations: in space, and in the plane."""
+    """RMSE over the bound against the distance from a column of base stations: in space, and in the
+    plane.
+    """
     figure, axes = new(PAGE, 4.8, rows=2, cols=2, sharex=True, sharey=True)
     for column, (sigma, part) in zip(axes.T, frame.groupby("sigma_deg")):
         for axis, ratio, what in zip(column, ("ratio", "ratio_xy"), ("3-D", "horizontal")):

@@ -1,7 +1,8 @@
-"""Le, Slock, Rossi 2021: the numbers behind each table and figure, one function per item, each giving one frame.
+"""Le, Slock, Rossi 2021: the numbers behind each table and figure, one function per item, each
+giving one frame.
 
-Every fix of a replication stands at another position, and each position is seen in all replications: standard errors
-are over positions, from each position's mean over the draws.
+Every fix of a replication stands at another position, and each position is seen in all
+replications: standard errors are over positions, from each position's mean over the draws.
 """
 
 from __future__ import annotations
@@ -22,7 +23,11 @@ from aoabench.types import Outcome
 Runs = Iterable[tuple[Any, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
 PROPOSED = "ml_kcorr"
 FEW = 10  # positions; with fewer there is no telling a standard error
-CLASSES = {"convergence": Outcome.OK, "divergence": Outcome.DIVERGED, "oscillation": Outcome.OSCILLATED}
+CLASSES = {
+    "convergence": Outcome.OK,
+    "divergence": Outcome.DIVERGED,
+    "oscillation": Outcome.OSCILLATED,
+}
 
 
 def positions(cell: Any) -> np.ndarray:
@@ -31,7 +36,9 @@ def positions(cell: Any) -> np.ndarray:
 
 
 def bound(cell: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Trace of the Cramér-Rao bound (P,) m^2 at each position [(30), (31)], and its horizontal part."""
+    """Trace of the Cramér-Rao bound (P,) m^2 at each position [(30), (31)], and its horizontal
+    part.
+    """
     C = bounds.crb(cell.noise.information(positions(cell), cell.scenario.known_anchors))
     return np.trace(C, axis1=-2, axis2=-1), C[:, 0, 0] + C[:, 1, 1]
 
@@ -49,14 +56,28 @@ def root_of_ratio(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
 
 def standing(above: Estimate, z: float = 3.0) -> str:
     """What a paired difference (another one's minus the proposed one's) says of the proposed one."""
-    return "lower" if above.value > z * above.se else "higher" if above.value < -z * above.se else "tie"
+    return (
+        "lower"
+        if above.value > z * above.se
+        else "higher"
+        if above.value < -z * above.se
+        else "tie"
+    )
 
 
 def accuracy(cell: Any, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
-    """A row per estimator of one cell: RMSE, its ratio to the bound, iterations, and both against the proposed one."""
+    """A row per estimator of one cell: RMSE, its ratio to the bound, iterations, and both against
+    the proposed one.
+    """
     crb, crb_xy = bound(cell)
-    square = {name: np.nanmean(f.error_3d_m.astype(float) ** 2, axis=0) for name, f in fixes.items()}
-    updates = {name: np.nanmean(f.iterations.astype(float), axis=0) for name, f in fixes.items() if name != "ls"}
+    square = {
+        name: np.nanmean(f.error_3d_m.astype(float) ** 2, axis=0) for name, f in fixes.items()
+    }
+    updates = {
+        name: np.nanmean(f.iterations.astype(float), axis=0)
+        for name, f in fixes.items()
+        if name != "ls"
+    }
     rows = []
     for name, f in fixes.items():
         draws, points = f.outcome.shape
@@ -82,7 +103,7 @@ def accuracy(cell: Any, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
     return rows
 
 
-# --- Figure 5 ---------------------------------------------------------------------------------------------------------
+# --- Figure 5 -------------------------------------------------------------------------------------
 
 
 def fig5(scale: str) -> pd.DataFrame:
@@ -90,21 +111,27 @@ def fig5(scale: str) -> pd.DataFrame:
     cell = compose_cells(["scenario=bs_grid", "noise=ae_normal", "estimator=[ls]"])[0]
     kinds = {"position": positions(cell), "base station": cell.scenario.known_anchors.position[0]}
     return pd.DataFrame(
-        [(kind, *x) for kind, found in kinds.items() for x in found], columns=["kind", "x_m", "y_m", "z_m"]
+        [(kind, *x) for kind, found in kinds.items() for x in found],
+        columns=["kind", "x_m", "y_m", "z_m"],
     )
 
 
-# --- Figures 6 and 7 --------------------------------------------------------------------------------------------------
+# --- Figures 6 and 7 ------------------------------------------------------------------------------
 
 
 def fig6(runs: Runs) -> pd.DataFrame:
-    """Per deviation and estimator what `accuracy` says, and the share of the squared bias in the mean square error."""
+    """Per deviation and estimator what `accuracy` says, and the share of the squared bias in the
+    mean square error.
+    """
     rows = []
     for cell, fixes in runs:
         share = bias(cell, PROPOSED, len(fixes[PROPOSED].outcome))
         for row in accuracy(cell, fixes):
             mine = row["estimator"] == PROPOSED
-            row |= {"bias_percent": share.value if mine else np.nan, "bias_se": share.se if mine else np.nan}
+            row |= {
+                "bias_percent": share.value if mine else np.nan,
+                "bias_se": share.se if mine else np.nan,
+            }
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -115,7 +142,9 @@ def fig7(runs: Runs) -> pd.DataFrame:
 
 
 def bias(cell: Any, name: str, draws: int) -> Estimate:
-    """Squared bias in percent of the mean square error: mean over positions, freed from the noise of the mean error."""
+    """Squared bias in percent of the mean square error: mean over positions, freed from the noise
+    of the mean error.
+    """
     simulated, error = Draws(cell.scenario, cell.noise, cell.seed), []
     for r in range(draws):
         truth, found = estimate_tile(simulated, cell.estimators[name], r)
@@ -126,14 +155,20 @@ def bias(cell: Any, name: str, draws: int) -> Estimate:
     return Estimate(100 * q.value, 100 * q.se)
 
 
-# --- Table I ----------------------------------------------------------------------------------------------------------
+# --- Table I --------------------------------------------------------------------------------------
 
 
 def table1(runs: Runs) -> pd.DataFrame:
-    """Per estimator and class, over all deviations (sigma_deg NaN) and for each: shares, errors, iterations."""
+    """Per estimator and class, over all deviations (sigma_deg NaN) and for each: shares, errors,
+    iterations.
+    """
     kept: dict[tuple[str, float], Fixes] = {}
     for cell, fixes in runs:
-        kept |= {(name, round(float(np.rad2deg(cell.noise.sigma)), 9)): f for name, f in fixes.items() if name != "ls"}
+        kept |= {
+            (name, round(float(np.rad2deg(cell.noise.sigma)), 9)): f
+            for name, f in fixes.items()
+            if name != "ls"
+        }
     rows = []
     for name in dict.fromkeys(name for name, _ in kept):
         each = {sigma: [f] for (other, sigma), f in kept.items() if other == name}
@@ -143,9 +178,12 @@ def table1(runs: Runs) -> pd.DataFrame:
 
 
 def classes(name: str, sigma_deg: float, some: list[Fixes]) -> list[dict[str, Any]]:
-    """A row for each class of an estimator's fixes; standard errors over positions (of the median: by jackknife)."""
+    """A row for each class of an estimator's fixes; standard errors over positions (of the median:
+    by jackknife).
+    """
     error, iterations, outcome = (
-        np.concatenate([getattr(f, field) for f in some]) for field in ("error_3d_m", "iterations", "outcome")
+        np.concatenate([getattr(f, field) for f in some])
+        for field in ("error_3d_m", "iterations", "outcome")
     )
     rows, converged = [], outcome == Outcome.OK
     for word, value in CLASSES.items():
@@ -171,24 +209,32 @@ def classes(name: str, sigma_deg: float, some: list[Fixes]) -> list[dict[str, An
 
 
 def over_converged(square: np.ndarray, n: np.ndarray, other: np.ndarray, m: np.ndarray) -> Estimate:
-    """RMSE of a class over the converged fixes', from both sums (P,) of squares and of fixes at each position."""
+    """RMSE of a class over the converged fixes', from both sums (P,) of squares and of fixes at
+    each position.
+    """
     ratio = np.sqrt((square.sum() / n.sum()) / (other.sum() / m.sum()))
     influence = [(s - k * s.sum() / k.sum()) / (2 * s.sum()) for s, k in ((square, n), (other, m))]
-    return Estimate(float(ratio), float(ratio * np.sqrt(len(n)) * (influence[0] - influence[1]).std(ddof=1)))
+    return Estimate(
+        float(ratio), float(ratio * np.sqrt(len(n)) * (influence[0] - influence[1]).std(ddof=1))
+    )
 
 
 def median(error: np.ndarray, member: np.ndarray, groups: int = 20) -> Estimate:
-    """Median error of some fixes; its standard error by leaving out each of `groups` groups of positions in turn."""
+    """Median error of some fixes; its standard error by leaving out each of `groups` groups of
+    positions in turn.
+    """
     whole = float(np.median(error[member]))
     group = np.arange(error.shape[1]) % groups
     left = [error[:, group != g][member[:, group != g]] for g in range(groups)]
     each = np.array([np.median(e) for e in left if len(e)])
     if len(each) < groups:
         return Estimate(whole, float("nan"))
-    return Estimate(whole, float(np.sqrt((groups - 1) / groups * ((each - each.mean()) ** 2).sum())))
+    return Estimate(
+        whole, float(np.sqrt((groups - 1) / groups * ((each - each.mean()) ** 2).sum()))
+    )
 
 
-# --- errata, zones, pole ----------------------------------------------------------------------------------------------
+# --- errata, zones, pole --------------------------------------------------------------------------
 
 
 def errata(runs: Runs) -> pd.DataFrame:
@@ -196,7 +242,9 @@ def errata(runs: Runs) -> pd.DataFrame:
     rows, squares = [], {}
     for cell, fixes in runs:
         options = cell.config["estimator"][PROPOSED]
-        variant = options["as_printed"] or ("invariant" if options["start"] == "invariant" else "meant")
+        variant = options["as_printed"] or (
+            "invariant" if options["start"] == "invariant" else "meant"
+        )
         if options["as_printed"] and options["start"] == "invariant":
             continue
         for row in accuracy(cell, fixes):
@@ -214,7 +262,9 @@ def errata(runs: Runs) -> pd.DataFrame:
 
 def zones(runs: Runs) -> pd.DataFrame:
     """What `accuracy` says per zone, deviation and estimator."""
-    return pd.DataFrame([{"zone": zone(cell.scenario), **row} for cell, f in runs for row in accuracy(cell, f)])
+    return pd.DataFrame(
+        [{"zone": zone(cell.scenario), **row} for cell, f in runs for row in accuracy(cell, f)]
+    )
 
 
 def zone(scenario: Any) -> str:
@@ -225,5 +275,9 @@ def zone(scenario: Any) -> str:
 def pole(runs: Runs) -> pd.DataFrame:
     """What `accuracy` says per horizontal distance from a column, deviation and estimator."""
     return pd.DataFrame(
-        [{"distance_m": cell.scenario.clearance_m, **row} for cell, f in runs for row in accuracy(cell, f)]
+        [
+            {"distance_m": cell.scenario.clearance_m, **row}
+            for cell, f in runs
+            for row in accuracy(cell, f)
+        ]
     )

@@ -15,14 +15,18 @@ if TYPE_CHECKING:
 
 
 def board(frame: pd.DataFrame) -> Figure:
-    """RMSE with three standard errors of each estimator, a panel per setting, the best of the first one on top."""
+    """RMSE with three standard errors of each estimator, a panel per setting, the best of the first
+    one on top.
+    """
     settings = list(frame["setting"].unique())
     names = list(frame[frame["setting"] == settings[0]]["estimator"])[::-1]
     height = 0.9 + 0.16 * len(names)
     figure, axes = new(PAGE, height, cols=len(settings), sharey=True, sharex=True, squeeze=False)
     for axis, setting in zip(axes[0], settings):
         rows = frame[frame["setting"] == setting].set_index("estimator").loc[names]
-        down = np.minimum(3 * rows["rmse_se"], 0.9 * rows["rmse_m"])  # on a logarithmic axis there is no 0
+        down = np.minimum(
+            3 * rows["rmse_se"], 0.9 * rows["rmse_m"]
+        )  # on a logarithmic axis there is no 0
         axis.errorbar(
             rows["rmse_m"],
             range(len(names)),
@@ -45,7 +49,9 @@ def board_table(frame: pd.DataFrame) -> pd.DataFrame:
             "setting": frame["setting"],
             "rank": frame["rank"].astype(str),
             "estimator": frame["estimator"],
-            "RMSE ± s.e. [m]": [number_text(v, s) for v, s in zip(frame["rmse_m"], frame["rmse_se"])],
+            "RMSE ± s.e. [m]": [
+                number_text(v, s) for v, s in zip(frame["rmse_m"], frame["rmse_se"])
+            ],
             "above the best [%], 95 % interval": [_interval(r) for r in frame.to_dict("records")],
             "fixes ok": [f"{100 * share:.4g} %" for share in frame["share_ok"]],
         }

@@ -1,4 +1,6 @@
-"""Leaderboard: in each scenario every estimator that applies there, on the same draws, paired with the best of them."""
+"""Leaderboard: in each scenario every estimator that applies there, on the same draws, paired with
+the best of them.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +33,15 @@ def ble_room(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def bs_grid(runs: Iterable[tuple[Any, dict[str, Fixes]]]) -> pd.DataFrame:
-    """3-D RMSE per deviation of the angles, paired over the positions, which all replications share."""
+    """3-D RMSE per deviation of the angles, paired over the positions, which all replications
+    share.
+    """
     rows = []
     for cell, fixes in runs:
         setting = f"{round(float(np.rad2deg(cell.noise.sigma)), 9):g} deg"
-        square = {name: np.nanmean(f.error_3d_m.astype(float) ** 2, axis=0) for name, f in fixes.items()}
+        square = {
+            name: np.nanmean(f.error_3d_m.astype(float) ** 2, axis=0) for name, f in fixes.items()
+        }
         rmse = {name: statistics.pooled_rmse(np.sqrt(s)) for name, s in square.items()}
         best = min(rmse, key=lambda name: rmse[name].value)
         ok = {name: float((f.outcome == 0).mean()) for name, f in fixes.items()}
@@ -45,7 +51,9 @@ def bs_grid(runs: Iterable[tuple[Any, dict[str, Fixes]]]) -> pd.DataFrame:
 
 
 def _above(square: np.ndarray, other: np.ndarray) -> tuple[Estimate, tuple[float, float]]:
-    """RMSE above another one's in percent, from mean squares (P,) per position, with its 95 % interval."""
+    """RMSE above another one's in percent, from mean squares (P,) per position, with its 95 %
+    interval.
+    """
     q = statistics.ratio(square, other)
     root = float(np.sqrt(q.value))
     above = Estimate(100 * (root - 1), 100 * q.se / (2 * root))
@@ -54,7 +62,9 @@ def _above(square: np.ndarray, other: np.ndarray) -> tuple[Estimate, tuple[float
 
 
 def _over_replications(frame: pd.DataFrame, settings: pd.Series, axis: str) -> pd.DataFrame:
-    """Rows of the leaderboard from replications; one of an estimator without a position has no RMSE and no pair."""
+    """Rows of the leaderboard from replications; one of an estimator without a position has no RMSE
+    and no pair.
+    """
     rows = []
     for setting, part in frame.groupby(settings, sort=False):
         wide = part.pivot(index="replication", columns="estimator", values=f"rmse_{axis}_m")

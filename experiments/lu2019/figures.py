@@ -34,8 +34,12 @@ def fig2(frame: pd.DataFrame) -> Figure:
     for w in frame[frame["kind"] == "wall"].to_dict("records"):
         left.plot([w["x_m"], w["x1_m"]], [w["y_m"], w["y1_m"]], color="black", lw=0.8)
     an, route = frame[frame["kind"] == "access node"], frame[frame["kind"] == "route"]
-    left.quiver(an["x_m"], an["y_m"], an["x1_m"], an["y1_m"], color=GREY, angles="xy", scale=45, width=0.002)
-    left.plot(an["x_m"], an["y_m"], "o", ms=2.5, color="#D55E00", label="access node and its broadside")
+    left.quiver(
+        an["x_m"], an["y_m"], an["x1_m"], an["y1_m"], color=GREY, angles="xy", scale=45, width=0.002
+    )
+    left.plot(
+        an["x_m"], an["y_m"], "o", ms=2.5, color="#D55E00", label="access node and its broadside"
+    )
     left.plot(route["x_m"], route["y_m"], color="#0072B2", label="route")
     left.plot(*route[["x_m", "y_m"]].iloc[0], "x", color="#009E73", ms=7, mew=2, label="start")
     left.plot(*route[["x_m", "y_m"]].iloc[-1], "o", color="#CC79A7", ms=6, label="end")
@@ -69,7 +73,10 @@ def fig3(frame: pd.DataFrame) -> Figure:
     cdf = frame[frame["kind"] == "cdf"]
     rows = cdf[cdf["name"] == "toa_m"]
     left.plot(rows["x"], rows["value"], color=STYLES["ekf_toa_aoa"]["color"])
-    for name, label, style in (("azimuth_deg", "azimuth", "-"), ("elevation_deg", "elevation", "--")):
+    for name, label, style in (
+        ("azimuth_deg", "azimuth", "-"),
+        ("elevation_deg", "elevation", "--"),
+    ):
         rows = cdf[cdf["name"] == name]
         colour = STYLES["ekf_aoa"]["color"] if name == "azimuth_deg" else STYLES["wcg"]["color"]
         right.plot(rows["x"], rows["value"], style, color=colour, label=label)
@@ -83,12 +90,14 @@ def fig3(frame: pd.DataFrame) -> Figure:
 
 
 def fig3_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Shares within the printed limits, and the deviation of the times over that of their thermal part."""
+    """Shares within the printed limits, and the deviation of the times over that of their thermal
+    part.
+    """
     rows = frame[frame["kind"] != "cdf"].set_index("name")
     return {f"fig3/{name}": Estimate(r["value"], r["se"]) for name, r in rows.iterrows()}
 
 
-# --- Figure 4 ---------------------------------------------------------------------------------------------------------
+# --- Figure 4 -------------------------------------------------------------------------------------
 
 
 def fig4(frame: pd.DataFrame) -> Figure:
@@ -96,25 +105,45 @@ def fig4(frame: pd.DataFrame) -> Figure:
     figure, axes = new(PAGE, 5.6, rows=3, cols=2, sharex=True, sharey="row")
     for column, (kind, title) in zip(axes.T, KINDS.items()):
         for name, label in NAMES.items():
-            rows = frame[(frame["an_error"] == kind) & (frame["estimator"] == name)].dropna(subset=["an_sigma_m"])
+            rows = frame[(frame["an_error"] == kind) & (frame["estimator"] == name)].dropna(
+                subset=["an_sigma_m"]
+            )
             rows = rows.sort_values("an_sigma_m")
             for axis, part in zip(column, ("3d", "z")):
                 value, se = rows[f"rmse_{part}"], rows[f"rmse_{part}_se"].fillna(0)
                 bar = [np.minimum(3 * se, 0.9 * value), 3 * se]
                 axis.errorbar(
-                    rows["an_sigma_m"], value, yerr=bar, capsize=2, elinewidth=0.8, label=label, **STYLES[name]
+                    rows["an_sigma_m"],
+                    value,
+                    yerr=bar,
+                    capsize=2,
+                    elinewidth=0.8,
+                    label=label,
+                    **STYLES[name],
                 )
                 if (rows["diverged"] > 0).any():
                     faint = {**STYLES[name], "alpha": 0.35, "lw": 1.0}
-                    axis.plot(rows["an_sigma_m"], rows[f"kept_{part}"], label=f"{label}, without diverged", **faint)
+                    axis.plot(
+                        rows["an_sigma_m"],
+                        rows[f"kept_{part}"],
+                        label=f"{label}, without diverged",
+                        **faint,
+                    )
             share, se = 100 * rows["diverged"], 300 * rows["diverged_se"]
             column[2].errorbar(
-                rows["an_sigma_m"], share, yerr=[np.minimum(se, share), se], capsize=2, elinewidth=0.8, **STYLES[name]
+                rows["an_sigma_m"],
+                share,
+                yerr=[np.minimum(se, share), se],
+                capsize=2,
+                elinewidth=0.8,
+                **STYLES[name],
             )
         column[0].set(title=title, yscale="log")
         column[1].set(yscale="log")
         column[2].set(xlabel=SIGMA)
-    for axis, label in zip(axes[:, 0], ("3-D RMSE [m]", "vertical RMSE [m]", "diverged trials [%]")):
+    for axis, label in zip(
+        axes[:, 0], ("3-D RMSE [m]", "vertical RMSE [m]", "diverged trials [%]")
+    ):
         axis.set_ylabel(label)
     handles: dict[str, Any] = {}
     for axis in axes[0]:
@@ -136,13 +165,15 @@ def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
             found[f"{key}/above_wcg"] = Estimate(r["above_wcg"], r["above_wcg_se"])
     for r in frame[frame["an_sigma_m"].isna()].to_dict("records"):
         low, high = r["crossing_low_m"], r["crossing_high_m"]
-        certain = 0.0 if np.isinf(low) else np.nan  # not even the interval's lower end lies in the range
+        certain = (
+            0.0 if np.isinf(low) else np.nan
+        )  # not even the interval's lower end lies in the range
         se = 0.5 * (high - low) / 1.96 if np.isfinite(high) else certain
         found[f"fig4/{r['an_error']}/crossing/{r['estimator']}"] = Estimate(r["crossing_m"], se)
     return found
 
 
-# --- Table II, errata, consistency ------------------------------------------------------------------------------------
+# --- Table II, errata, consistency ----------------------------------------------------------------
 
 
 def table2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
@@ -163,7 +194,9 @@ VARIANTS = {
 
 
 def errata(frame: pd.DataFrame) -> Figure:
-    """Median RMSE as meant and with one erratum as printed, per method, without and with uncertain access nodes."""
+    """Median RMSE as meant and with one erratum as printed, per method, without and with uncertain
+    access nodes.
+    """
     figure, axes = new(PAGE, 3.0, cols=2, sharey=True)
     rows_of = [v for v in VARIANTS if v in set(frame["variant"])]
     for axis, (sigma, part) in zip(axes, frame.groupby("an_sigma_m")):
@@ -174,8 +207,12 @@ def errata(frame: pd.DataFrame) -> Figure:
             value, se = rows.loc[present, "median_m"], rows.loc[present, "median_se"].fillna(0)
             bar = [np.minimum(3 * se, 0.9 * value), 3 * se]
             style = {k_: v for k_, v in STYLES[name].items() if k_ != "ls"}
-            axis.errorbar(value, y, xerr=bar, ls="", ms=4, capsize=2, elinewidth=0.8, label=label, **style)
-        axis.set(xscale="log", xlabel="median 3-D RMSE [m]", title=f"access nodes known to {sigma:g} m")
+            axis.errorbar(
+                value, y, xerr=bar, ls="", ms=4, capsize=2, elinewidth=0.8, label=label, **style
+            )
+        axis.set(
+            xscale="log", xlabel="median 3-D RMSE [m]", title=f"access nodes known to {sigma:g} m"
+        )
         axis.set_yticks([-i for i in range(len(rows_of))], [VARIANTS[v] for v in rows_of])
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
@@ -203,7 +240,9 @@ def nees(frame: pd.DataFrame) -> Figure:
                 rows = part[part["estimator"] == name]
                 style = {"color": STYLES[name]["color"], "ls": STYLES[name]["ls"], "lw": 0.9}
                 axis.plot(rows["time_s"], rows["nees"], label=NAMES[name], **style)
-            axis.axhspan(*_band(int(part["trials"].iloc[0])), color=GREY, alpha=0.35, label="95 % band", lw=0)
+            axis.axhspan(
+                *_band(int(part["trials"].iloc[0])), color=GREY, alpha=0.35, label="95 % band", lw=0
+            )
             axis.set(yscale="log", title=f"{title}, {sigma:g} m", xlabel="time [s]")
         line[0].set_ylabel("mean NEES (3 dof)")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
@@ -218,7 +257,9 @@ def _band(trials: int) -> tuple[float, float]:
 
 
 def nees_values(frame: pd.DataFrame, transient_s: float = 10.0) -> dict[str, Estimate]:
-    """Share in percent of the times after the transient at which the mean NEES lies in its 95 % band."""
+    """Share in percent of the times after the transient at which the mean NEES lies in its 95 %
+    band.
+    """
     found = {}
     for (scenario, sigma, name), rows in frame.groupby(["scenario", "an_sigma_m", "estimator"]):
         low, high = _band(int(rows["trials"].iloc[0]))

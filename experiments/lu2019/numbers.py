@@ -1,4 +1,6 @@
-"""Lu et al. 2019: the numbers behind each table and figure, one function per item, each giving one frame."""
+"""Lu et al. 2019: the numbers behind each table and figure, one function per item, each giving one
+frame.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,15 @@ DIVERGED_M = 15.0  # 3-D RMSE beyond which a trial counts as diverged
 FILTERS = "filter=[ekf_toa_aoa,ekf_aoa]"
 
 
-def _cell(*words: str, scenario: str = "indoor_map", methods: tuple[str, ...] = (FILTERS, "estimator=[wcg]")) -> Any:
+def _cell(
+    *words: str,
+    scenario: str = "indoor_map",
+    methods: tuple[str, ...] = (FILTERS, "estimator=[wcg]"),
+) -> Any:
     return compose_cells([f"scenario={scenario}", "noise=ofdm_crlb", *methods, *words])[0]
 
 
-# --- Table I, Figures 2 and 3 -----------------------------------------------------------------------------------------
+# --- Table I, Figures 2 and 3 ---------------------------------------------------------------------
 
 
 def table1(scale: str) -> pd.DataFrame:
@@ -33,11 +39,15 @@ def table1(scale: str) -> pd.DataFrame:
         ("bandwidth_mhz", 1e-3 * noise.subcarrier_khz * noise.subcarriers), ("power_dbm", noise.power_dbm),
         ("array_gain_db", noise.array_gain_db),
     ]  # fmt: skip
-    return pd.DataFrame([(name, float(value)) for name, value in rows], columns=["quantity", "value"])
+    return pd.DataFrame(
+        [(name, float(value)) for name, value in rows], columns=["quantity", "value"]
+    )
 
 
 def fig2(scale: str) -> pd.DataFrame:
-    """Walls (x_m, y_m to x1_m, y1_m), access nodes (facing x1_m, y1_m) and the route's points, with what they see."""
+    """Walls (x_m, y_m to x1_m, y1_m), access nodes (facing x1_m, y1_m) and the route's points, with
+    what they see.
+    """
     scenario = _cell().scenario
     anchors, route = scenario.known_anchors, scenario.truth(np.random.default_rng(0))[:, :3]
     sees = scenario.line_of_sight(route).sum(axis=1)
@@ -45,12 +55,16 @@ def fig2(scale: str) -> pd.DataFrame:
     facing = anchors.rotation[0, :, 0, :2]
     rows += [("access node", *s, *f, np.nan) for s, f in zip(anchors.position[0], facing)]
     rows += [("route", *p, np.nan, np.nan, n) for p, n in zip(route, sees)]
-    frame = pd.DataFrame(rows, columns=["kind", "x_m", "y_m", "z_m", "x1_m", "y1_m", "line_of_sight"])
+    frame = pd.DataFrame(
+        rows, columns=["kind", "x_m", "y_m", "z_m", "x1_m", "y1_m", "line_of_sight"]
+    )
     return frame.assign(area_m2=scenario.visited_area_m2, step_s=scenario.dt)
 
 
 def fig3(scale: str) -> pd.DataFrame:
-    """Distribution functions of the errors, and shares with standard errors over trials (kind `share`)."""
+    """Distribution functions of the errors, and shares with standard errors over trials (kind
+    `share`).
+    """
     cell, trials = _cell(), {"quick": 8, "paper": 200}[scale]
     draws, found = Draws(cell.scenario, cell.noise, cell.seed), []
     for first in range(0, trials, 8):
@@ -61,7 +75,10 @@ def fig3(scale: str) -> pd.DataFrame:
         d = np.linalg.norm(local, axis=-1)
         for r in range(len(truth)):
             seen = np.isfinite(batch.azimuth[r])
-            exact = np.arctan2(local[r, ..., 1], local[r, ..., 0]), np.arcsin(local[r, ..., 2] / d[r])
+            exact = (
+                np.arctan2(local[r, ..., 1], local[r, ..., 0]),
+                np.arcsin(local[r, ..., 2] / d[r]),
+            )
             error = {
                 "toa_m": LIGHT * batch.delay[r] - d[r],
                 "azimuth_deg": np.rad2deg(batch.azimuth[r] - exact[0]),
@@ -73,39 +90,56 @@ def fig3(scale: str) -> pd.DataFrame:
     grids = {"toa_m": np.linspace(-12, 12, 97), "azimuth_deg": np.linspace(-1, 1, 81)}
     grids |= {"elevation_deg": grids["azimuth_deg"], "thermal_cm": np.geomspace(1e-3, 10, 81)}
     for name, grid in grids.items():
-        cdf = np.mean([np.searchsorted(np.sort(f[name]), grid) / len(f[name]) for f in found], axis=0)
+        cdf = np.mean(
+            [np.searchsorted(np.sort(f[name]), grid) / len(f[name]) for f in found], axis=0
+        )
         rows += [("cdf", name, x, p, np.nan, trials) for x, p in zip(grid, cdf)]
     inside = {
         "angles_within_half_degree": [
-            np.mean(np.abs(np.concatenate([f["azimuth_deg"], f["elevation_deg"]])) <= 0.5) for f in found
+            np.mean(np.abs(np.concatenate([f["azimuth_deg"], f["elevation_deg"]])) <= 0.5)
+            for f in found
         ],
         "toa_within_10_m": [np.mean(np.abs(f["toa_m"]) <= 10.0) for f in found],
-        "thermal_within_printed": [np.mean((f["thermal_cm"] >= 0.1) & (f["thermal_cm"] <= 8.0)) for f in found],
+        "thermal_within_printed": [
+            np.mean((f["thermal_cm"] >= 0.1) & (f["thermal_cm"] <= 8.0)) for f in found
+        ],
     }
     for name, values in inside.items():
         share = statistics.mean(values)
         rows.append(("share", name, np.nan, 100 * share.value, 100 * share.se, trials))
-    ratio = statistics.mean([np.sqrt(np.mean(f["toa_m"] ** 2)) / (1e-2 * np.median(f["thermal_cm"])) for f in found])
+    ratio = statistics.mean(
+        [np.sqrt(np.mean(f["toa_m"] ** 2)) / (1e-2 * np.median(f["thermal_cm"])) for f in found]
+    )
     rows.append(("ratio", "all_over_thermal", np.nan, ratio.value, ratio.se, trials))
     return pd.DataFrame(rows, columns=["kind", "name", "x", "value", "se", "trials"])
 
 
-# --- Figure 4 ---------------------------------------------------------------------------------------------------------
+# --- Figure 4 -------------------------------------------------------------------------------------
 
 
 def fig4(runs: pd.DataFrame) -> pd.DataFrame:
-    """Per kind of error, uncertainty and method: RMSEs with and without diverged trials, paired against the centroid.
+    """Per kind of error, uncertainty and method: RMSEs with and without diverged trials, paired
+    against the centroid.
 
-    Rows with sigma NaN hold where a filter's curve crosses the centroid's: `crossing_m` and its 95 % interval.
+    Rows with sigma NaN hold where a filter's curve crosses the centroid's: `crossing_m` and its 95
+    % interval.
     """
     rows = []
     keys = ["noise.an_error", "noise.an_sigma_m"]
     for (kind, sigma), group in runs.groupby(keys):
-        wide = {c: group.pivot(index="replication", columns="estimator", values=c) for c in ("rmse_3d_m", "rmse_z_m")}
+        wide = {
+            c: group.pivot(index="replication", columns="estimator", values=c)
+            for c in ("rmse_3d_m", "rmse_z_m")
+        }
         for name in METHODS:
             d3, dz = wide["rmse_3d_m"][name].to_numpy(), wide["rmse_z_m"][name].to_numpy()
             diverged = d3 > DIVERGED_M
-            row: dict[str, Any] = {"an_error": kind, "an_sigma_m": sigma, "estimator": name, "trials": len(d3)}
+            row: dict[str, Any] = {
+                "an_error": kind,
+                "an_sigma_m": sigma,
+                "estimator": name,
+                "trials": len(d3),
+            }
             for key, estimate in {
                 "rmse_3d": statistics.pooled_rmse(d3), "rmse_z": statistics.pooled_rmse(dz),
                 "kept_3d": statistics.pooled_rmse(d3[~diverged]), "kept_z": statistics.pooled_rmse(dz[~diverged]),
@@ -123,11 +157,15 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def crossing(runs: pd.DataFrame, name: str, resamplings: int = 1000) -> dict[str, float]:
-    """Smallest uncertainty at which the filter's median RMSE reaches the centroid's, by linear interpolation.
+    """Smallest uncertainty at which the filter's median RMSE reaches the centroid's, by linear
+    interpolation.
 
-    The interval is a bootstrap over whole trials, which are the same draws at every uncertainty. NaN: not in the range.
+    The interval is a bootstrap over whole trials, which are the same draws at every uncertainty.
+    NaN: not in the range.
     """
-    wide = runs.pivot(index="replication", columns=["estimator", "noise.an_sigma_m"], values="rmse_3d_m")
+    wide = runs.pivot(
+        index="replication", columns=["estimator", "noise.an_sigma_m"], values="rmse_3d_m"
+    )
     a, b = wide[name], wide["wcg"]
     sigma = np.sort(a.columns.to_numpy(dtype=float))
     difference = (a[sigma].to_numpy(), b[sigma].to_numpy())
@@ -137,12 +175,16 @@ def crossing(runs: pd.DataFrame, name: str, resamplings: int = 1000) -> dict[str
         d = np.median(difference[0][pick], axis=0) - np.median(difference[1][pick], axis=0)
         above = np.flatnonzero(d >= 0)
         i = above[0] if len(above) else 0
-        each.append(sigma[i - 1] - d[i - 1] * (sigma[i] - sigma[i - 1]) / (d[i] - d[i - 1]) if i > 0 else np.inf)
+        each.append(
+            sigma[i - 1] - d[i - 1] * (sigma[i] - sigma[i - 1]) / (d[i] - d[i - 1])
+            if i > 0
+            else np.inf
+        )
     low, high = np.quantile(each[1:], [0.025, 0.975], method="nearest")
     return {"crossing_m": each[0], "crossing_low_m": low, "crossing_high_m": high}
 
 
-# --- Table II ---------------------------------------------------------------------------------------------------------
+# --- Table II -------------------------------------------------------------------------------------
 
 
 def printed_count(method: str, M: int, n: int) -> int:
@@ -156,27 +198,33 @@ def printed_count(method: str, M: int, n: int) -> int:
 def textbook_count(m: int, n: int) -> int:
     """Multiplications of (17), (18) with dense matrices, m measurements and n states.
 
-    F x; F P, (F P) F^T; H x is not needed; P H^T, H (P H^T); the inverse of S by Gauss and Jordan; K = (P H^T) S^-1;
-    K v; K (H P).
+    F x; F P, (F P) F^T; H x is not needed; P H^T, H (P H^T); the inverse of S by Gauss and Jordan;
+    K = (P H^T) S^-1; K v; K (H P).
     """
     return n**2 + 2 * n**3 + n**2 * m + n * m**2 + m**3 + n * m**2 + n * m + n**2 * m
 
 
 def our_count(method: str, M: int) -> int:
-    """Multiplications and divisions of one step at nine states as our code does it, trigonometric functions apart.
+    """Multiplications and divisions of one step at nine states as our code does it, trigonometric
+    functions apart.
 
-    For the filters counted by running the kernel's source on numbers that count (a test does it): the prediction with
-    the structure of (19) and a 3 x 3 update cost 616, each access node 146 (without its time 143). The centroid: range,
-    direction, its turn into the map, weight, weighted sums.
+    For the filters counted by running the kernel's source on numbers that count (a test does it):
+    the prediction with the structure of (19) and a 3 x 3 update cost 616, each access node 146
+    (without its time 143). The centroid: range, direction, its turn into the map, weight, weighted
+    sums.
     """
     return {"ekf_toa_aoa": 616 + 146 * M, "ekf_aoa": 616 + 143 * M, "wcg": 20 * M + 3}[method]
 
 
 def table2(scale: str) -> pd.DataFrame:
-    """Multiplications at M = 4, n = 9 and the measured time of one step, batched and for one trial alone."""
+    """Multiplications at M = 4, n = 9 and the measured time of one step, batched and for one trial
+    alone.
+    """
     M, n = 4, 9
     cell = _cell("scenario.nearest=4", "noise.an_sigma_m=0.5")
-    seconds = time_estimators(cell.scenario, cell.noise, cell.estimators, cell.seed, {"quick": 3, "paper": 15}[scale])
+    seconds = time_estimators(
+        cell.scenario, cell.noise, cell.estimators, cell.seed, {"quick": 3, "paper": 15}[scale]
+    )
     rows = []
     for name in METHODS:
         m = {"ekf_toa_aoa": 3 * M, "ekf_aoa": 2 * M, "wcg": 0}[name]
@@ -191,11 +239,13 @@ def table2(scale: str) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-# --- errata and consistency -------------------------------------------------------------------------------------------
+# --- errata and consistency -----------------------------------------------------------------------
 
 
 def errata(runs: pd.DataFrame) -> pd.DataFrame:
-    """Per uncertainty, method and erratum as printed: pooled and median RMSE of the trials, rate of divergence."""
+    """Per uncertainty, method and erratum as printed: pooled and median RMSE of the trials, rate of
+    divergence.
+    """
     found: dict[tuple[float, str, str], np.ndarray] = {}
     for _, group in runs.groupby("cell"):
         first = group.iloc[0]
@@ -215,7 +265,10 @@ def errata(runs: pd.DataFrame) -> pd.DataFrame:
     for (sigma, name, variant), rmse in found.items():
         if variant == "both":
             continue
-        pooled, diverged = statistics.pooled_rmse(rmse), statistics.rate(int((rmse > DIVERGED_M).sum()), len(rmse))
+        pooled, diverged = (
+            statistics.pooled_rmse(rmse),
+            statistics.rate(int((rmse > DIVERGED_M).sum()), len(rmse)),
+        )
         middle = statistics.quantile(rmse, 0.5)
         rows.append(
             {
@@ -228,7 +281,9 @@ def errata(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def nees(scale: str) -> pd.DataFrame:
-    """Mean over trials of the position's NEES at each time, on the route and with the truth from the filter's model."""
+    """Mean over trials of the position's NEES at each time, on the route and with the truth from
+    the filter's model.
+    """
     trials = {"quick": 16, "paper": 400}[scale]
     rows = []
     for scenario in ("indoor_map", "indoor_map_model"):
@@ -240,11 +295,15 @@ def nees(scale: str) -> pd.DataFrame:
                 for name, estimator in cell.estimators.items():
                     truth, found = estimate_tile(draws, estimator, first)
                     assert found.covariance is not None
-                    total[name] = total[name] + metrics.nees(found.position - truth[..., :3], found.covariance).sum(0)
+                    total[name] = total[name] + metrics.nees(
+                        found.position - truth[..., :3], found.covariance
+                    ).sum(0)
             for name, value in total.items():
                 each = 5 if scenario == "indoor_map" else 1
                 rows += [
                     (scenario, sigma, name, k * cell.scenario.dt, v / trials, trials)
                     for k, v in list(enumerate(value, 1))[::each]
                 ]
-    return pd.DataFrame(rows, columns=["scenario", "an_sigma_m", "estimator", "time_s", "nees", "trials"])
+    return pd.DataFrame(
+        rows, columns=["scenario", "an_sigma_m", "estimator", "time_s", "nees", "trials"]
+    )

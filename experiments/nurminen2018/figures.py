@@ -21,7 +21,7 @@ def _split(estimator: str) -> tuple[str, str]:
     return family.upper(), model
 
 
-# --- Table I ----------------------------------------------------------------------------------------------------------
+# --- Table I --------------------------------------------------------------------------------------
 
 
 def table1_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
@@ -32,17 +32,25 @@ def table1_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
     }
 
 
-# --- Figure 1 ---------------------------------------------------------------------------------------------------------
+# --- Figure 1 -------------------------------------------------------------------------------------
 
 
 def fig1(frame: pd.DataFrame) -> Figure:
-    """Deviations of azimuth (left) and elevation (right) noise against the true elevation [Nurminen 2018, Fig. 1]."""
+    """Deviations of azimuth (left) and elevation (right) noise against the true elevation [Nurminen
+    2018, Fig. 1].
+    """
     figure, (left, right) = new(PAGE, 2.4, cols=2, sharex=True)
     x = frame["elevation_deg"]
     left.plot(x, frame["azimuth_deg"], color=COLOURS["vmf"])
     left.set(ylabel="azimuth deviation [deg]", ylim=(0, None))
     right.plot(x, frame["elevation_about_truth_deg"], color=COLOURS["vmf"], label="about the truth")
-    right.plot(x, frame["elevation_about_mean_deg"], color=COLOURS["ae_nominal"], ls="--", label="about the mean")
+    right.plot(
+        x,
+        frame["elevation_about_mean_deg"],
+        color=COLOURS["ae_nominal"],
+        ls="--",
+        label="about the mean",
+    )
     right.set(ylabel="elevation deviation [deg]", ylim=(0, 12))
     right.legend(loc="lower center")
     for axis in (left, right):
@@ -56,11 +64,13 @@ def fig1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     return {
         "fig1/azimuth_at_equator": Estimate(at.loc[0.0, "azimuth_deg"], 0.0),
         "fig1/elevation_at_equator": Estimate(at.loc[0.0, "elevation_about_truth_deg"], 0.0),
-        "fig1/growth_at_pole": Estimate(at.loc[90.0, "azimuth_deg"] / at.loc[0.0, "azimuth_deg"], 0.0),
+        "fig1/growth_at_pole": Estimate(
+            at.loc[90.0, "azimuth_deg"] / at.loc[0.0, "azimuth_deg"], 0.0
+        ),
     }
 
 
-# --- Figure 2 ---------------------------------------------------------------------------------------------------------
+# --- Figure 2 -------------------------------------------------------------------------------------
 
 
 def fig2(frame: pd.DataFrame) -> Figure:
@@ -73,7 +83,13 @@ def fig2(frame: pd.DataFrame) -> Figure:
     for axis, (i, j) in zip(axes, ((0, 1), (0, 2))):
         u, v = ("x_m", "y_m", "z_m")[i], ("x_m", "y_m", "z_m")[j]
         length = 1.05 * np.abs(frame["z_m"]).max() / abs(ray[2])
-        axis.plot([0, length * ray[i]], [0, length * ray[j]], color=GREY, ls=":", label="measured direction")
+        axis.plot(
+            [0, length * ray[i]],
+            [0, length * ray[j]],
+            color=GREY,
+            ls=":",
+            label="measured direction",
+        )
         axis.plot(0, 0, "P", color="black", ms=6, label="anchor (pole axis through it)")
         for r in shown[shown["method"] != "exact"].itertuples():
             axis.plot(
@@ -96,17 +112,23 @@ def fig2(frame: pd.DataFrame) -> Figure:
 
 
 def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Angles to the measured direction, and how much further off the AE filters are than the VMF ones."""
+    """Angles to the measured direction, and how much further off the AE filters are than the VMF
+    ones.
+    """
     angle = frame.set_index(["method", "model"])["angle_to_measurement_deg"]
     found = {}
     for method in ("ekf", "ukf"):
-        found[f"fig2/{method}/vmf_minus_prior"] = Estimate(angle[method, "vmf"] - angle["prior", "prior"], 0.0)
+        found[f"fig2/{method}/vmf_minus_prior"] = Estimate(
+            angle[method, "vmf"] - angle["prior", "prior"], 0.0
+        )
         for model in ("ae_nominal", "ae_fitted", "ae_adaptive"):
-            found[f"fig2/{method}/{model}_minus_vmf"] = Estimate(angle[method, model] - angle[method, "vmf"], 0.0)
+            found[f"fig2/{method}/{model}_minus_vmf"] = Estimate(
+                angle[method, model] - angle[method, "vmf"], 0.0
+            )
     return found
 
 
-# --- the third argument -----------------------------------------------------------------------------------------------
+# --- the third argument ---------------------------------------------------------------------------
 
 
 def frames(frame: pd.DataFrame) -> Figure:
@@ -121,7 +143,9 @@ def frames(frame: pd.DataFrame) -> Figure:
             rows["rmse_mean_3d_m"], y, xerr=3 * rows["se_m"], fmt=marker, capsize=2, elinewidth=0.8,
             label=f"roll, pitch, yaw {turn} deg",
         )  # fmt: skip
-    axis.set_yticks(range(len(estimators)), [f"{f}-{LABELS[m]}" for f, m in map(_split, estimators)])
+    axis.set_yticks(
+        range(len(estimators)), [f"{f}-{LABELS[m]}" for f, m in map(_split, estimators)]
+    )
     axis.set(xlabel="mean 3-D RMSE [m]", xlim=(0, None))
     axis.grid(axis="y", visible=False)
     figure.legend(loc="outside upper center", ncols=3, title="anchor frames turned by")
@@ -129,7 +153,9 @@ def frames(frame: pd.DataFrame) -> Figure:
 
 
 def frames_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Per filter the change in percent from the unturned frames: the larger of two, so z = 3.2 keeps its 0.3 %."""
+    """Per filter the change in percent from the unturned frames: the larger of two, so z = 3.2
+    keeps its 0.3 %.
+    """
     found = {}
     for name, rows in frame[frame["frame_rpy_deg"] != "[0, 0, 0]"].groupby("estimator"):
         r = rows.loc[(rows["change_percent"].abs() / rows["change_se"]).idxmax()]
@@ -138,7 +164,7 @@ def frames_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     return found
 
 
-# --- Figure 3 ---------------------------------------------------------------------------------------------------------
+# --- Figure 3 -------------------------------------------------------------------------------------
 
 
 def fig3(frame: pd.DataFrame) -> Figure:
@@ -160,7 +186,9 @@ def fig3(frame: pd.DataFrame) -> Figure:
             anchors["x_m"], anchors["y_m"], anchors["pole_x"], anchors["pole_y"],
             color=GREY, angles="xy", scale=16, width=0.008,
         )  # fmt: skip
-        axis.plot(anchors["x_m"], anchors["y_m"], "X", color=GREY, ms=6, label="anchor and its pole")
+        axis.plot(
+            anchors["x_m"], anchors["y_m"], "X", color=GREY, ms=6, label="anchor and its pole"
+        )
         axis.set_title(TITLES[noise])
         axis.set(xlabel="x [m]", aspect="equal")
     axes[0].set_ylabel("y [m]")
@@ -168,15 +196,21 @@ def fig3(frame: pd.DataFrame) -> Figure:
     return figure
 
 
-# --- Figure 4 ---------------------------------------------------------------------------------------------------------
+# --- Figure 4 -------------------------------------------------------------------------------------
 
-ORDER = [f"{f}_{m}" for f in ("pf", "ekf", "ukf") for m in ("vmf", "ae_adaptive", "ae_fitted", "ae_nominal")]
+ORDER = [
+    f"{f}_{m}"
+    for f in ("pf", "ekf", "ukf")
+    for m in ("vmf", "ae_adaptive", "ae_fitted", "ae_nominal")
+]
 ORDER.insert(ORDER.index("ukf_ae_adaptive") + 1, "ukf_ae_adaptive_augmented")
 
 
 def _label(estimator: str) -> str:
     family, model = _split(estimator)
-    return f"{family}-{LABELS[model.removesuffix('_augmented')]}" + (" (aug.)" if model.endswith("_augmented") else "")
+    return f"{family}-{LABELS[model.removesuffix('_augmented')]}" + (
+        " (aug.)" if model.endswith("_augmented") else ""
+    )
 
 
 def _counts(frame: pd.DataFrame) -> str:
@@ -188,12 +222,19 @@ def _colour(estimator: str) -> str:
 
 
 def fig4(frame: pd.DataFrame) -> Figure:
-    """Box plots of percentage RMSE differences from PF-VMF, both data models [Nurminen 2018, Fig. 4]."""
+    """Box plots of percentage RMSE differences from PF-VMF, both data models [Nurminen 2018, Fig.
+    4].
+    """
     figure, axes = new(PAGE, 3.6, cols=2, sharey=True)
     names = [n for n in ORDER if n != "pf_vmf"][::-1]
     for axis, noise in zip(axes, TITLES):
         rows = frame[frame["noise"] == noise].set_index("estimator").loc[names]
-        boxes(axis, [r for _, r in rows.iterrows()], list(range(len(names))), [_colour(n) for n in names])
+        boxes(
+            axis,
+            [r for _, r in rows.iterrows()],
+            list(range(len(names))),
+            [_colour(n) for n in names],
+        )
         axis.axvline(0, color="black", lw=0.8, ls=":")
         axis.set_title(TITLES[noise])
         axis.set(xlabel="RMSE difference from PF-VMF [%]")
@@ -208,7 +249,11 @@ def layouts(frame: pd.DataFrame) -> Figure:
     figure, axes = new(PAGE, 3.4, cols=len(LAYOUTS), sharey=True, sharex=True)
     for axis, layout in zip(axes, LAYOUTS):
         for k, (noise, marker) in enumerate((("ae_flip", "o"), ("vmf", "s"))):
-            rows = frame[(frame["layout"] == layout) & (frame["noise"] == noise)].set_index("estimator").loc[names]
+            rows = (
+                frame[(frame["layout"] == layout) & (frame["noise"] == noise)]
+                .set_index("estimator")
+                .loc[names]
+            )
             axis.errorbar(
                 rows["above_pf_vmf_percent"], np.arange(len(names)) + 0.15 - 0.3 * k, xerr=3 * rows["above_pf_vmf_se"],
                 fmt=marker, ms=3, capsize=1.5, elinewidth=0.8, label=TITLES[noise],
@@ -226,7 +271,9 @@ LAYOUTS = [f"square_track{variant}" for variant in ("", "_far", "_corner", "_sid
 
 
 def adaptivity(frame: pd.DataFrame) -> Figure:
-    """What AE-adaptive changes in EKF and UKF, against the same filter with AE-nominal and AE-fitted."""
+    """What AE-adaptive changes in EKF and UKF, against the same filter with AE-nominal and
+    AE-fitted.
+    """
     figure, axes = new(PAGE, 2.6, cols=len(LAYOUTS), sharey=True, sharex=True)
     kinds = [
         (n, o)
@@ -235,7 +282,9 @@ def adaptivity(frame: pd.DataFrame) -> Figure:
     ]
     for axis, layout in zip(axes, LAYOUTS):
         for k, (noise, marker) in enumerate((("ae_flip", "o"), ("vmf", "s"))):
-            rows = frame[(frame["layout"] == layout) & (frame["noise"] == noise)].set_index(["estimator", "other"])
+            rows = frame[(frame["layout"] == layout) & (frame["noise"] == noise)].set_index(
+                ["estimator", "other"]
+            )
             rows = rows.loc[kinds[::-1]]
             axis.errorbar(
                 rows["above_percent"], np.arange(len(kinds)) + 0.15 - 0.3 * k, xerr=3 * rows["above_se"],
@@ -243,14 +292,21 @@ def adaptivity(frame: pd.DataFrame) -> Figure:
             )  # fmt: skip
         axis.axvline(0, color="black", lw=0.8, ls=":")
         axis.set_title(layout.removeprefix("square_track").removeprefix("_") or "base")
-        axis.set_yticks(range(len(kinds)), [f"{_label(n)} over {LABELS[o]}" for n, o in kinds[::-1]])
-    figure.supxlabel(f"mean RMSE of AE-adaptive above [%], {frame['replications'].iloc[0]} replications", fontsize=8)
+        axis.set_yticks(
+            range(len(kinds)), [f"{_label(n)} over {LABELS[o]}" for n, o in kinds[::-1]]
+        )
+    figure.supxlabel(
+        f"mean RMSE of AE-adaptive above [%], {frame['replications'].iloc[0]} replications",
+        fontsize=8,
+    )
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
 
 def adaptivity_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Per layout, data model and form: AE-adaptive above the AE model that it helps least (of two, so z = 3.2)."""
+    """Per layout, data model and form: AE-adaptive above the AE model that it helps least (of two,
+    so z = 3.2).
+    """
     found = {}
     for (layout, noise, name), rows in frame.groupby(["layout", "noise", "estimator"]):
         two = [Estimate(r["above_percent"], r["above_se"]) for r in rows.to_dict("records")]
@@ -290,12 +346,16 @@ def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def layouts_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """The claims on each layout, summed up: for "every filter" the one with the lowest confidence bound counts."""
+    """The claims on each layout, summed up: for "every filter" the one with the lowest confidence
+    bound counts.
+    """
     found = {}
     for (layout, noise), rows in frame.groupby(["layout", "noise"]):
         key = f"layouts/{layout}/{noise}"
         ae = [
-            Estimate(r["above_vmf_percent"], r["above_vmf_se"]) for r in rows.to_dict("records") if r["model"] != "vmf"
+            Estimate(r["above_vmf_percent"], r["above_vmf_se"])
+            for r in rows.to_dict("records")
+            if r["model"] != "vmf"
         ]
         found[f"{key}/least_above_own_vmf"] = min(ae, key=lambda e: e.value - 3 * e.se)
         for r in rows.to_dict("records"):
@@ -309,7 +369,9 @@ def _closest(rows: pd.DataFrame) -> dict[str, Estimate]:
     """PF-AE-adaptive against the better of the other AE particle filters."""
     at = {r["estimator"]: r for r in rows.to_dict("records")}
     pf = at["pf_ae_adaptive"]
-    against = [Estimate(pf[f"above_{m}_percent"], pf[f"above_{m}_se"]) for m in ("ae_nominal", "ae_fitted")]
+    against = [
+        Estimate(pf[f"above_{m}_percent"], pf[f"above_{m}_se"]) for m in ("ae_nominal", "ae_fitted")
+    ]
     return {"pf_adaptive_closest": max(against, key=_z)}
 
 
@@ -321,6 +383,8 @@ def particles_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """By how many percent the RMSE at a third of 10^4 particles exceeds that at 10^4, paired."""
     third = frame[frame["particles"] == 3162]
     return {
-        f"particles/{r['noise']}/{r['estimator']}": Estimate(r["above_largest_percent"], r["above_largest_se"])
+        f"particles/{r['noise']}/{r['estimator']}": Estimate(
+            r["above_largest_percent"], r["above_largest_se"]
+        )
         for r in third.to_dict("records")
     }

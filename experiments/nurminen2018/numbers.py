@@ -1,4 +1,6 @@
-"""Nurminen et al. 2018: the numbers behind each table and figure, one function per item, each giving one frame."""
+"""Nurminen et al. 2018: the numbers behind each table and figure, one function per item, each
+giving one frame.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +28,12 @@ FIG2 = {
     "sigma": np.deg2rad(5.0),
 }
 
-# --- Table I ----------------------------------------------------------------------------------------------------------
+# --- Table I --------------------------------------------------------------------------------------
 
 
 def table1(scale: str) -> pd.DataFrame:
-    """Model comparison numbers (10), (11) with standard errors, and the fitted parameters, by Monte Carlo integration.
+    """Model comparison numbers (10), (11) with standard errors, and the fitted parameters, by Monte
+    Carlo integration.
 
     The paper takes 10^5 samples once; here 40 (paper) or 10 (quick) times as many.
     """
@@ -53,7 +56,9 @@ def table1(scale: str) -> pd.DataFrame:
         for angle, r in zip(("azimuth", "elevation"), res):
             rms = np.sqrt(np.mean(r**2))
             se = np.std(r**2, ddof=1) / np.sqrt(n) / (2 * rms)
-            rows.append((data, "ae_fitted", f"sigma_{angle}_deg", np.rad2deg(rms), np.rad2deg(se), n))
+            rows.append(
+                (data, "ae_fitted", f"sigma_{angle}_deg", np.rad2deg(rms), np.rad2deg(se), n)
+            )
         rows.append((data, "vmf", "kappa", 1 / SIGMA**2, 0.0, n))
     return pd.DataFrame(rows, columns=["data", "model", "quantity", "value", "se", "samples"])
 
@@ -66,14 +71,18 @@ def uniform_directions(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np
 def log_likelihoods(
     noise: object, azimuth: np.ndarray, elevation: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Log likelihoods (4, n) of one noisy measurement of each direction under the four models, and residuals (2, n).
+    """Log likelihoods (4, n) of one noisy measurement of each direction under the four models, and
+    residuals (2, n).
 
-    Per radian of azimuth and elevation: the VMF density gets the factor cos(elevation) of the change of variables.
+    Per radian of azimuth and elevation: the VMF density gets the factor cos(elevation) of the
+    change of variables.
     """
     y, e = noise.perturb(rng, azimuth, elevation)
     da, de = wrap(y - azimuth), e - elevation
     fitted = noise.printed_fit_deg
-    sigma_a, sigma_e = (t[np.rint(np.rad2deg(elevation)).astype(int) + 90] for t in adaptive_table(SIGMA))
+    sigma_a, sigma_e = (
+        t[np.rint(np.rad2deg(elevation)).astype(int) + 90] for t in adaptive_table(SIGMA)
+    )
 
     def normal(r: np.ndarray, s: object) -> np.ndarray:
         return -0.5 * (r / s) ** 2 - np.log(s) - 0.5 * np.log(2 * np.pi)
@@ -83,12 +92,13 @@ def log_likelihoods(
             normal(da, SIGMA) + normal(de, SIGMA),
             normal(da, np.deg2rad(fitted[0])) + normal(de, np.deg2rad(fitted[1])),
             normal(da, sigma_a) + normal(de, sigma_e),
-            directional.vmf_logpdf(to_unit(y, e), to_unit(azimuth, elevation), 1 / SIGMA**2) + np.log(np.cos(e)),
+            directional.vmf_logpdf(to_unit(y, e), to_unit(azimuth, elevation), 1 / SIGMA**2)
+            + np.log(np.cos(e)),
         ]
     ), np.stack([da, de])
 
 
-# --- Figure 1 ---------------------------------------------------------------------------------------------------------
+# --- Figure 1 -------------------------------------------------------------------------------------
 
 
 def fig1(scale: str) -> pd.DataFrame:
@@ -101,16 +111,20 @@ def fig1(scale: str) -> pd.DataFrame:
             "elevation_deg": degrees,
             "azimuth_deg": np.rad2deg(directional.flipped_azimuth_std(elevation, SIGMA)),
             "elevation_about_truth_deg": np.rad2deg(about_truth),
-            "elevation_about_mean_deg": np.rad2deg(np.sqrt(np.maximum(about_truth**2 - bias**2, 0.0))),
+            "elevation_about_mean_deg": np.rad2deg(
+                np.sqrt(np.maximum(about_truth**2 - bias**2, 0.0))
+            ),
         }
     )
 
 
-# --- Figure 2 ---------------------------------------------------------------------------------------------------------
+# --- Figure 2 -------------------------------------------------------------------------------------
 
 
 def fig2(scale: str) -> pd.DataFrame:
-    """Posterior means after one update: Kalman filters and exact integration, with the angle to the measurement."""
+    """Posterior means after one update: Kalman filters and exact integration, with the angle to the
+    measurement.
+    """
     noise = FlippedAngles(sigma_deg=float(np.rad2deg(FIG2["sigma"])))
     models = {
         "ae_nominal": AzEl(sigma_deg=float(np.rad2deg(FIG2["sigma"]))),
@@ -125,12 +139,16 @@ def fig2(scale: str) -> pd.DataFrame:
     for model, h in models.items():
         y, r = measurement_of(h)
         for name, kalman in (("ekf", EKF(h)), ("ukf", UKF(h))):
-            mean, _ = kalman.update(FIG2["mean"][None], FIG2["sigma_m"] ** 2 * np.eye(3)[None], y, r, anchor)
+            mean, _ = kalman.update(
+                FIG2["mean"][None], FIG2["sigma_m"] ** 2 * np.eye(3)[None], y, r, anchor
+            )
             rows.append((name, model, *mean[0], angle_deg(mean[0], u)))
         exact = exact_mean(h, nodes)
         rows.append(("exact", model, *exact, angle_deg(exact, u)))
     rows.append(("prior", "prior", *FIG2["mean"], angle_deg(FIG2["mean"], u)))
-    return pd.DataFrame(rows, columns=["method", "model", "x_m", "y_m", "z_m", "angle_to_measurement_deg"])
+    return pd.DataFrame(
+        rows, columns=["method", "model", "x_m", "y_m", "z_m", "angle_to_measurement_deg"]
+    )
 
 
 def measurement_of(h: object) -> tuple[np.ndarray, np.ndarray]:
@@ -145,9 +163,11 @@ def measurement_of(h: object) -> tuple[np.ndarray, np.ndarray]:
 
 
 def exact_mean(h: object, nodes: int) -> np.ndarray:
-    """Posterior mean (3,) m by integration over distance, azimuth and elevation (nodes, 2 nodes, nodes of them).
+    """Posterior mean (3,) m by integration over distance, azimuth and elevation (nodes, 2 nodes,
+    nodes of them).
 
-    The likelihood depends on the direction alone; along each ray the prior times r^2 is integrated by Gauss-Legendre.
+    The likelihood depends on the direction alone; along each ray the prior times r^2 is integrated
+    by Gauss-Legendre.
     """
     anchor = Anchors(np.zeros((1, 1, 3)), np.eye(3)[None, None])
     y, quality = measurement_of(h)
@@ -163,7 +183,9 @@ def exact_mean(h: object, nodes: int) -> np.ndarray:
         likelihood = np.exp(h.loglik(u[None], anchor, y, quality)[0]) * weight * np.cos(elevation)
         if likelihood.max() == 0.0:
             continue
-        offset2 = distance**2 - 2 * (u @ FIG2["mean"])[:, None] * distance + FIG2["mean"] @ FIG2["mean"]
+        offset2 = (
+            distance**2 - 2 * (u @ FIG2["mean"])[:, None] * distance + FIG2["mean"] @ FIG2["mean"]
+        )
         along = wd * distance**2 * np.exp(-0.5 * offset2 / FIG2["sigma_m"] ** 2)
         mass += likelihood @ along.sum(axis=1)
         moment += (likelihood * (along @ distance)) @ u
@@ -171,20 +193,26 @@ def exact_mean(h: object, nodes: int) -> np.ndarray:
 
 
 def angle_deg(x: np.ndarray, u: np.ndarray) -> float:
-    """Angle in degrees between position x (3,), seen from the anchor in the origin, and the unit vector u (3,)."""
+    """Angle in degrees between position x (3,), seen from the anchor in the origin, and the unit
+    vector u (3,).
+    """
     v = x / np.linalg.norm(x)
     return float(np.rad2deg(2 * np.arcsin(min(1.0, 0.5 * np.linalg.norm(v - u)))))
 
 
-# --- Figure 3 ---------------------------------------------------------------------------------------------------------
+# --- Figure 3 -------------------------------------------------------------------------------------
 
 
 def fig3(scale: str) -> pd.DataFrame:
-    """Replication 0 of each data model on the base layout: truth, particle filters' estimates, anchors."""
+    """Replication 0 of each data model on the base layout: truth, particle filters' estimates,
+    anchors.
+    """
     filters = [f"pf_{model}" for model in MODELS]
     rows = []
     for noise in ("ae_flip", "vmf"):
-        cell = compose_cells([f"noise={noise}", f"filter=[{','.join(filters)}]", "scenario=square_track"])[0]
+        cell = compose_cells(
+            [f"noise={noise}", f"filter=[{','.join(filters)}]", "scenario=square_track"]
+        )[0]
         draws = Draws(cell.scenario, cell.noise, cell.seed)
         truth, _ = draws.tile(0, 1)
         tracks = {"truth": truth[0]}
@@ -195,30 +223,48 @@ def fig3(scale: str) -> pd.DataFrame:
         anchors = cell.scenario.known_anchors
         poles = anchors.rotation[0, :, 2]  # the global direction of each pole
         rows += [(noise, "anchor", j, *s, *poles[j, :2]) for j, s in enumerate(anchors.position[0])]
-    return pd.DataFrame(rows, columns=["noise", "kind", "step", "x_m", "y_m", "z_m", "pole_x", "pole_y"])
+    return pd.DataFrame(
+        rows, columns=["noise", "kind", "step", "x_m", "y_m", "z_m", "pole_x", "pole_y"]
+    )
 
 
-# --- from replications ------------------------------------------------------------------------------------------------
+# --- from replications ----------------------------------------------------------------------------
 
 
 def frames(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean RMSE of each filter in each anchor frame, and its paired change in percent from the unturned frames."""
+    """Mean RMSE of each filter in each anchor frame, and its paired change in percent from the
+    unturned frames.
+    """
     key = "scenario.anchors.frame_rpy_deg"
     rows = []
     for name, group in runs.groupby("estimator", sort=False):
         wide = group.pivot(index="replication", columns=key, values="rmse_3d_m")
         for frame in sorted(wide.columns, key=lambda c: (c != "[0, 0, 0]", c)):
-            mean, pair = statistics.mean(wide[frame]), statistics.paired(wide[frame], wide["[0, 0, 0]"])
-            rows.append((name, frame, mean.value, mean.se, pair.percent.value, pair.percent.se, len(wide)))
-    columns = ["estimator", "frame_rpy_deg", "rmse_mean_3d_m", "se_m", "change_percent", "change_se", "replications"]
+            mean, pair = (
+                statistics.mean(wide[frame]),
+                statistics.paired(wide[frame], wide["[0, 0, 0]"]),
+            )
+            rows.append(
+                (name, frame, mean.value, mean.se, pair.percent.value, pair.percent.se, len(wide))
+            )
+    columns = [
+        "estimator",
+        "frame_rpy_deg",
+        "rmse_mean_3d_m",
+        "se_m",
+        "change_percent",
+        "change_se",
+        "replications",
+    ]
     return pd.DataFrame(rows, columns=columns)
 
 
 def fig4(runs: pd.DataFrame) -> pd.DataFrame:
-    """Per layout, data model and filter: RMSE, its percentage difference from PF-VMF, paired differences of models.
+    """Per layout, data model and filter: RMSE, its percentage difference from PF-VMF, paired
+    differences of models.
 
-    Columns q05 ... maximum are levels of the per-replication difference; above_X_percent is the paired difference of
-    mean RMSE from the same filter with model X (pf_vmf: from PF-VMF).
+    Columns q05 ... maximum are levels of the per-replication difference; above_X_percent is the
+    paired difference of mean RMSE from the same filter with model X (pf_vmf: from PF-VMF).
     """
     rows = []
     for (layout, noise), group in runs.groupby(["scenario", "noise"], sort=False):
@@ -228,12 +274,26 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
             percent = 100 * (wide[name] / wide["pf_vmf"] - 1)
             levels = [statistics.quantile(percent, q) for q in statistics.QUANTILES]
             mean = statistics.mean(wide[name])
-            row = {"layout": layout, "noise": noise, "estimator": name, "family": family, "model": model}
-            row |= {"particles": int(group["filter.pf_vmf.particles"].iloc[0]), "replications": len(wide)}
+            row = {
+                "layout": layout,
+                "noise": noise,
+                "estimator": name,
+                "family": family,
+                "model": model,
+            }
+            row |= {
+                "particles": int(group["filter.pf_vmf.particles"].iloc[0]),
+                "replications": len(wide),
+            }
             row |= {"rmse_mean_3d_m": mean.value, "se_m": mean.se}
-            row |= {f"q{round(100 * q):02d}": level.value for q, level in zip(statistics.QUANTILES, levels)}
+            row |= {
+                f"q{round(100 * q):02d}": level.value
+                for q, level in zip(statistics.QUANTILES, levels)
+            }
             row |= {"median_se": levels[2].se, "minimum": percent.min(), "maximum": percent.max()}
-            others = {"pf_vmf": "pf_vmf"} | {m: f"{family}_{m}" for m in ("vmf", "ae_nominal", "ae_fitted")}
+            others = {"pf_vmf": "pf_vmf"} | {
+                m: f"{family}_{m}" for m in ("vmf", "ae_nominal", "ae_fitted")
+            }
             for other, against in others.items():
                 pair = statistics.paired(wide[name], wide[against]).percent
                 row |= {f"above_{other}_percent": pair.value, f"above_{other}_se": pair.se}
@@ -247,25 +307,46 @@ def layouts(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def adaptivity(runs: pd.DataFrame) -> pd.DataFrame:
-    """Per layout, data model and form of AE-adaptive: paired percentage from the same filter with another AE model."""
+    """Per layout, data model and form of AE-adaptive: paired percentage from the same filter with
+    another AE model.
+    """
     rows = []
     for (layout, noise), group in runs.groupby(["scenario", "noise"], sort=False):
         wide = group.pivot(index="replication", columns="estimator", values="rmse_3d_m")
         for name in ("ekf_ae_adaptive", "ukf_ae_adaptive", "ukf_ae_adaptive_augmented"):
             for other in ("ae_nominal", "ae_fitted"):
-                pair = statistics.paired(wide[name], wide[f"{name.partition('_')[0]}_{other}"]).percent
+                pair = statistics.paired(
+                    wide[name], wide[f"{name.partition('_')[0]}_{other}"]
+                ).percent
                 rows.append((layout, noise, name, other, pair.value, pair.se, len(wide)))
     columns = ["layout", "noise", "estimator", "other", "above_percent", "above_se", "replications"]
     return pd.DataFrame(rows, columns=columns)
 
 
 def particles(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean RMSE of each particle filter against the number of particles, and its paired excess over the largest one."""
+    """Mean RMSE of each particle filter against the number of particles, and its paired excess over
+    the largest one.
+    """
     rows = []
     for (noise, name), group in runs.groupby(["noise", "estimator"], sort=True):
-        wide = group.pivot(index="replication", columns="filter.pf_vmf.particles", values="rmse_3d_m")
+        wide = group.pivot(
+            index="replication", columns="filter.pf_vmf.particles", values="rmse_3d_m"
+        )
         for count in sorted(wide.columns):
-            mean, pair = statistics.mean(wide[count]), statistics.paired(wide[count], wide[max(wide.columns)]).percent
-            rows.append((noise, int(count), name, mean.value, mean.se, pair.value, pair.se, len(wide)))
-    columns = ["noise", "particles", "estimator", "rmse_mean_3d_m", "se_m", "above_largest_percent", "above_largest_se"]
+            mean, pair = (
+                statistics.mean(wide[count]),
+                statistics.paired(wide[count], wide[max(wide.columns)]).percent,
+            )
+            rows.append(
+                (noise, int(count), name, mean.value, mean.se, pair.value, pair.se, len(wide))
+            )
+    columns = [
+        "noise",
+        "particles",
+        "estimator",
+        "rmse_mean_3d_m",
+        "se_m",
+        "above_largest_percent",
+        "above_largest_se",
+    ]
     return pd.DataFrame(rows, columns=[*columns, "replications"])

@@ -33,7 +33,9 @@ def imported(tree):
 
 
 @pytest.mark.parametrize(
-    "file", [f for f in MODULES if f.name != "__init__.py"], ids=lambda f: str(f.relative_to(PACKAGE))
+    "file",
+    [f for f in MODULES if f.name != "__init__.py"],
+    ids=lambda f: str(f.relative_to(PACKAGE)),
 )
 def test_imports_go_downward(file):
     room = file.relative_to(PACKAGE).parts[0].removesuffix(".py")
@@ -66,7 +68,9 @@ def test_the_report_never_imports_a_filter():
 ])  # fmt: skip
 def test_heavy_imports_only_where_used(code, absent):
     script = f"{code}\nimport sys\nprint('LOADED', *[m for m in {absent!r} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[-1].split() == ["LOADED"]
 
 
@@ -74,5 +78,9 @@ def test_no_pickle_and_no_eval():
     for file in MODULES:
         tree = ast.parse(file.read_text())
         assert not {"pickle", "cloudpickle", "dill"} & set(imported(tree)), file
-        calls = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+        calls = {
+            n.func.id
+            for n in ast.walk(tree)
+            if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+        }
         assert not calls & {"eval", "exec", "compile", "__import__"}, file

@@ -1,4 +1,6 @@
-"""Every shipped preset by itself: it composes, runs a few replications, and keeps the estimators' contract."""
+"""Every shipped preset by itself: it composes, runs a few replications, and keeps the estimators'
+contract.
+"""
 
 import numpy as np
 import pytest
@@ -9,8 +11,13 @@ from aoabench.montecarlo import Draws, estimate_tile, run_block, tile_of
 from aoabench.types import Outcome
 
 TIMES = {"ekf_toa_aoa", "wcg", "wcg_as_printed"}  # estimators that need times of arrival
-ROOM = ("anchor", "discrepancy")  # parts of the names of those that need a known height, and some signal strengths
-ESTIMATORS = [("filter", n) for n in options("filter")] + [("estimator", n) for n in options("estimator")]
+ROOM = (
+    "anchor",
+    "discrepancy",
+)  # parts of the names of those that need a known height, and some signal strengths
+ESTIMATORS = [("filter", n) for n in options("filter")] + [
+    ("estimator", n) for n in options("estimator")
+]
 
 
 def setting(name, noise, track="square_track"):
@@ -28,9 +35,13 @@ def test_every_scenario_with_every_noise(scenario, noise):
         words = ["estimator=[anchor_mean]"]
     elif scenario.startswith("bs_grid"):
         words = ["estimator=[ml_kcorr]"]
-    words += ["scenario.dt=2"] if scenario.startswith("indoor_map") else []  # a thousand fields take their time
+    words += (
+        ["scenario.dt=2"] if scenario.startswith("indoor_map") else []
+    )  # a thousand fields take their time
     cell = compose_cells([f"scenario={scenario}", f"noise={noise}", *words])[0]
-    rows = next(iter(run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3).values()))["rows"]
+    rows = next(iter(run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3).values()))[
+        "rows"
+    ]
     assert np.all(np.isfinite(rows["rmse_3d_m"]))
     truth, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 2)
     azimuth, elevation = (a[np.isfinite(a)] for a in (batch.azimuth, batch.elevation))
@@ -60,7 +71,9 @@ def test_every_estimator_keeps_the_contract(group, name, noise):
         P = e.covariance[~failed][:, :axes, :axes]
         assert np.allclose(P, np.swapaxes(P, -1, -2))
         spread = np.linalg.eigvalsh(P)
-        assert np.all((spread[..., 0] > 0) | (spread[..., -1] == 0))  # 0: one particle has all the weight
+        assert np.all(
+            (spread[..., 0] > 0) | (spread[..., -1] == 0)
+        )  # 0: one particle has all the weight
 
 
 @pytest.mark.parametrize(("group", "name"), ESTIMATORS)
@@ -79,8 +92,10 @@ def test_every_experiment_composes(experiment):
 
 
 def test_the_names_that_users_type_exist():
-    assert {f"{a}_{b}" for a in ("ekf", "ukf", "pf") for b in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")} <= set(
-        options("filter")
-    )
+    assert {
+        f"{a}_{b}"
+        for a in ("ekf", "ukf", "pf")
+        for b in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")
+    } <= set(options("filter"))
     assert {"ae_normal", "ae_flip", "vmf"} <= set(options("noise"))
     assert "square_track" in options("scenario")

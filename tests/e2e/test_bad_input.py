@@ -1,4 +1,6 @@
-"""What is knowable before a run gets one clear line that names key, value and what is allowed, and exit status 2."""
+"""What is knowable before a run gets one clear line that names key, value and what is allowed, and
+exit status 2.
+"""
 
 import os
 import subprocess
@@ -14,11 +16,20 @@ CASES = [
     # overrides, words that the line must hold
     (["run"], ["filter", "must be given", "ekf_vmf"]),
     (["run", "filter=[ekf_vfm]"], ["ekf_vfm", "did you mean 'ekf_vmf'"]),
-    (["run", "filter=[ekf_vmf,ukf_ae_adaptve]"], ["ukf_ae_adaptve", "did you mean 'ukf_ae_adaptive'"]),
+    (
+        ["run", "filter=[ekf_vmf,ukf_ae_adaptve]"],
+        ["ukf_ae_adaptve", "did you mean 'ukf_ae_adaptive'"],
+    ),
     (["run", "estimator=[wcgg]", F], ["estimator", "wcgg"]),
     (["run", F, "noise=vfm"], ["noise", "vfm", "did you mean 'vmf'"]),
-    (["run", F, "scenario=square_trak"], ["scenario", "square_trak", "did you mean 'square_track'"]),
-    (["run", F, "experiment=nurminen2018_frame"], ["nurminen2018_frame", "did you mean 'nurminen2018_frames'"]),
+    (
+        ["run", F, "scenario=square_trak"],
+        ["scenario", "square_trak", "did you mean 'square_track'"],
+    ),
+    (
+        ["run", F, "experiment=nurminen2018_frame"],
+        ["nurminen2018_frame", "did you mean 'nurminen2018_frames'"],
+    ),
     (["run", F, "runner=locl"], ["runner", "locl", "local"]),
     (["run", F, "noise.sigma=5"], ["noise.sigma", "did you mean 'noise.sigma_deg'"]),
     (["run", F, "nois=vmf"], ["nois", "did you mean 'noise'"]),
@@ -41,12 +52,18 @@ CASES = [
     (["run", F, "noise.kappa=-1"], ["noise.kappa", "-1", "> 0"]),
     (["run", F, "noise.sigma_deg=10", "noise.kappa=33"], ["noise.kappa", "33", "sigma_deg=10"]),
     (["run", F, "filter.ekf_vmf.measurement.kappa=0"], ["filter.ekf_vmf.measurement.kappa", "> 0"]),
-    (["run", "filter=[ukf_vmf]", "filter.ukf_vmf.lambda_=-1"], ["filter.ukf_vmf.lambda_", "-1", ">= 0"]),
+    (
+        ["run", "filter=[ukf_vmf]", "filter.ukf_vmf.lambda_=-1"],
+        ["filter.ukf_vmf.lambda_", "-1", ">= 0"],
+    ),
     (
         ["run", "filter=[ukf_ae_adaptive]", "filter.ukf_ae_adaptive.form=best"],
         ["form", "best", "averaged, centre, augmented"],
     ),
-    (["run", "filter=[ekf_ae_fitted]", "filter.ekf_ae_fitted.measurement.fit=mine"], ["fit", "mine", "printed, own"]),
+    (
+        ["run", "filter=[ekf_ae_fitted]", "filter.ekf_ae_fitted.measurement.fit=mine"],
+        ["fit", "mine", "printed, own"],
+    ),
     (
         ["run", "filter=[ekf_ae_nominal]", "filter.ekf_ae_nominal.measurement.sigma_deg=200"],
         ["sigma_deg", "200", "180"],
@@ -63,10 +80,19 @@ CASES = [
     (["run", F, "until.metric=rmse"], ["until.metric", "rmse", "rmse_3d_m"]),
     (["run", F, "until.metric=rmse_3d_m"], ["until.se", "> 0", "until.relative_se"]),
     (["run", F, "until.metric=rmse_3d_m", "until.se=0"], ["until.se", "0", "> 0"]),
-    (["run", F, "until.metric=rmse_3d_m", "until.relative_se=-1"], ["until.relative_se", "-1", "> 0"]),
+    (
+        ["run", F, "until.metric=rmse_3d_m", "until.relative_se=-1"],
+        ["until.relative_se", "-1", "> 0"],
+    ),
     (["run", F, "until.se=0.1"], ["until.se=0.1", "until.metric"]),
-    (["run", F, "until.metric=nees", "until.se=1", "until.min_reps=1"], ["until.min_reps", "1", ">= 2"]),
-    (["run", F, "until.metric=nees", "until.se=1", "until.max_reps=100"], ["until.max_reps", "100", ">= 200"]),
+    (
+        ["run", F, "until.metric=nees", "until.se=1", "until.min_reps=1"],
+        ["until.min_reps", "1", ">= 2"],
+    ),
+    (
+        ["run", F, "until.metric=nees", "until.se=1", "until.max_reps=100"],
+        ["until.max_reps", "100", ">= 200"],
+    ),
     (["run", F, "+until.reps=3"], ["until.reps", "unknown key", "min_reps"]),
     (["run", F, "-m", "until.metric=nees", "until.se=1,2"], ["until", "cannot be swept"]),
     (["run", F, "runner.backend=spark"], ["runner.backend", "spark", "loky"]),
@@ -79,7 +105,10 @@ CASES = [
     (["run", F, "scenario.motion.q_z=0"], ["scenario.motion.q_z", "0", ">= 1e-06"]),
     (["run", F, "scenario.anchors.position_m=[[1,2]]"], ["scenario.anchors.position_m", "3"]),
     (["run", F, "scenario.anchors.position_m=[]"], ["scenario.anchors.position_m", "3"]),
-    (["run", F, "scenario.anchors.facing=[[1,0,0]]"], ["scenario.anchors.facing", "one row per anchor"]),
+    (
+        ["run", F, "scenario.anchors.facing=[[1,0,0]]"],
+        ["scenario.anchors.facing", "one row per anchor"],
+    ),
     (
         ["run", F, "scenario.anchors.facing=[[0,0,0],[1,0,0],[1,0,0],[1,0,0]]"],
         ["scenario.anchors.facing", "length > 0"],
@@ -164,7 +193,11 @@ def test_an_unwritable_folder_is_named(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("argv", [["run", "filter=[ekf_vfm]"], ["run", F, "noise.kappa=-1"]])
 def test_the_real_command_does_the_same(argv, tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "aoabench.cli", *argv], capture_output=True, text=True, cwd=tmp_path, env=os.environ
+        [sys.executable, "-m", "aoabench.cli", *argv],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ,
     )
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1

@@ -1,4 +1,6 @@
-"""A Dask cluster of separate processes on loopback: the same bits as one process, whatever becomes of a worker."""
+"""A Dask cluster of separate processes on loopback: the same bits as one process, whatever becomes
+of a worker.
+"""
 
 import re
 import subprocess
@@ -16,21 +18,46 @@ from aoabench.composing import compose_cells
 
 pytest.importorskip("distributed", reason="Dask is not installed: pip install 'aoabench[dask]'")
 
-WORDS = ["noise=vmf", "filter=[pf_vmf,ekf_vmf]", "filter.pf_vmf.particles=2000", "reps=160", "runner.chunk=2"]
+WORDS = [
+    "noise=vmf",
+    "filter=[pf_vmf,ekf_vmf]",
+    "filter.pf_vmf.particles=2000",
+    "reps=160",
+    "runner.chunk=2",
+]
 
 
 def dask(name, *words, cwd):
     with (cwd / f"{name}.log").open("w") as log:
-        return subprocess.Popen([sys.executable, "-m", "dask", *words], cwd=cwd, stdout=log, stderr=log)
+        return subprocess.Popen(
+            [sys.executable, "-m", "dask", *words], cwd=cwd, stdout=log, stderr=log
+        )
 
 
 @contextmanager
 def cluster(folder):
-    """A scheduler and two workers with a thread each, in a folder that is not the run's; address and workers."""
-    started = [dask("scheduler", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", cwd=folder)]
+    """A scheduler and two workers with a thread each, in a folder that is not the run's; address
+    and workers.
+    """
+    started = [
+        dask(
+            "scheduler",
+            "scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--no-dashboard",
+            cwd=folder,
+        )
+    ]
     try:
         deadline = time.monotonic() + 30
-        while not (found := re.search(r"Scheduler at:\s+(tcp://\S+)", (folder / "scheduler.log").read_text())):
+        while not (
+            found := re.search(
+                r"Scheduler at:\s+(tcp://\S+)", (folder / "scheduler.log").read_text()
+            )
+        ):
             assert time.monotonic() < deadline, "no scheduler"
             time.sleep(0.05)
         options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")
@@ -65,8 +92,12 @@ def test_rows_are_those_of_loky_though_a_worker_is_killed_half_way(tmp_path, mon
         for folder in (tmp_path / "dask" / "parts").iterdir():
             parts = store.intact_parts(tmp_path / "dask", folder.name)
             assert sum(part.stop - part.start for part in parts) == 160
-        # the same folder goes on with another backend, and a plug-in beside the run is found by the workers
-        more = runner.run(compose_cells([*WORDS, "reps=170", "runner.out=dask", "runner.n_jobs=1"]), progress=False)
+        # the same folder goes on with another backend, and a plug-in beside the run is found by the
+        # workers
+        more = runner.run(
+            compose_cells([*WORDS, "reps=170", "runner.out=dask", "runner.n_jobs=1"]),
+            progress=False,
+        )
         assert more.computed == 20
         (tmp_path / "my_remote_origin.py").write_text(
             "from dataclasses import dataclass\nimport numpy as np\nfrom aoabench import Estimates\n\n\n@dataclass(frozen=True)\nclass Origin:\n"
@@ -74,24 +105,31 @@ def test_rows_are_those_of_loky_though_a_worker_is_killed_half_way(tmp_path, mon
             "        return Estimates(np.zeros((*shape, 3)), None, None, np.zeros(shape, dtype=np.int8))\n"
         )
         (tmp_path / "conf" / "estimator").mkdir(parents=True)
-        (tmp_path / "conf" / "estimator" / "origin.yaml").write_text("origin: {_target_: my_remote_origin.Origin}\n")
+        (tmp_path / "conf" / "estimator" / "origin.yaml").write_text(
+            "origin: {_target_: my_remote_origin.Origin}\n"
+        )
         words += ["estimator=[origin]", "reps=300", "runner.chunk=128"]
         frame = aoabench.run(*words, out="plugin", config_dir="conf", plugins=["my_remote_origin"])
         assert len(frame) == 300
         # a worker with other code refuses to compute under this run's keys
         monkeypatch.setattr(store, "_versions", lambda: {"numpy": "0.1"})
         with pytest.raises(aoabench.RunError, match="has another version of the code"):
-            runner.run(compose_cells([*WORDS, "seed=2", *words[:2], "runner.out=dask"]), progress=False)
+            runner.run(
+                compose_cells([*WORDS, "seed=2", *words[:2], "runner.out=dask"]), progress=False
+            )
 
 
 @pytest.mark.parametrize("preset", ["dask", "slurm"])
 def test_the_presets_compose(preset, monkeypatch):
-    given = compose_cells(["filter=[ekf_vmf]", f"runner={preset}", "runner.address=tcp://node-1.cluster:8786"])[
-        0
-    ].runner
+    given = compose_cells(
+        ["filter=[ekf_vmf]", f"runner={preset}", "runner.address=tcp://node-1.cluster:8786"]
+    )[0].runner
     assert (given.backend, given.address) == ("dask", "tcp://node-1.cluster:8786")
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", "tls://10.0.0.1:8786")
-    assert compose_cells(["filter=[ekf_vmf]", f"runner={preset}"])[0].runner.address == "tls://10.0.0.1:8786"
+    assert (
+        compose_cells(["filter=[ekf_vmf]", f"runner={preset}"])[0].runner.address
+        == "tls://10.0.0.1:8786"
+    )
 
 
 def test_the_cluster_is_not_part_of_any_key():
@@ -99,7 +137,13 @@ def test_the_cluster_is_not_part_of_any_key():
         compose_cells(["filter=[ekf_vmf]", *more])[0]
         for more in (
             [],
-            ["runner=slurm", "runner.address=tcp://a:1", "runner.max_failed=0", "until.metric=nees", "until.se=1"],
+            [
+                "runner=slurm",
+                "runner.address=tcp://a:1",
+                "runner.max_failed=0",
+                "until.metric=nees",
+                "until.se=1",
+            ],
         )
     )
     assert local.id == far.id

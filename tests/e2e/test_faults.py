@@ -1,7 +1,8 @@
-"""What the machine does to a run: killed processes, full and read-only disks, lack of memory, altered parts, two runs.
+"""What the machine does to a run: killed processes, full and read-only disks, lack of memory,
+altered parts, two runs.
 
-Each time the same command goes on, nothing that was finished is computed twice, and the tables are those of a run that
-nobody disturbed, bit for bit.
+Each time the same command goes on, nothing that was finished is computed twice, and the tables are
+those of a run that nobody disturbed, bit for bit.
 """
 
 import errno
@@ -34,8 +35,13 @@ PATIENCE_S = 30  # for a machine under heavy load
 
 def tables(out):
     """All tables of a run that do not hold times."""
-    frames = {name: pd.read_parquet(out / f"{name}.parquet") for name in ("replications", "summary", "failures")}
-    frames["replications"] = frames["replications"].sort_values(["estimator", "replication"], ignore_index=True)
+    frames = {
+        name: pd.read_parquet(out / f"{name}.parquet")
+        for name in ("replications", "summary", "failures")
+    }
+    frames["replications"] = frames["replications"].sort_values(
+        ["estimator", "replication"], ignore_index=True
+    )
     return frames
 
 
@@ -66,14 +72,18 @@ def _command(words, said):
     for stream, target in ((1, os.devnull), (2, said)):
         os.dup2(os.open(target, os.O_WRONLY | os.O_CREAT), stream)
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    os.environ["PYTHONWARNINGS"] = "ignore"  # of what the short end below leaves to the resource tracker
+    os.environ["PYTHONWARNINGS"] = (
+        "ignore"  # of what the short end below leaves to the resource tracker
+    )
     try:
         main(["run", *words])
     except SystemExit as end:
         sys.stderr.flush()
         os._exit(
             end.code
-        )  # past multiprocessing's own end, which waits for threads that only an interpreter's end ends
+            # past multiprocessing's own end, which waits for threads that only an interpreter's end
+            # ends
+        )
 
 
 # each command is forked from one process that has imported everything: a second less for each
@@ -123,13 +133,18 @@ def wait_for(condition, command=None):
 def reference(tmp_path_factory):
     """The undisturbed run, in one process."""
     out = tmp_path_factory.mktemp("undisturbed")
-    runner.run(compose_cells([*WORDS, "runner.chunk=50", "runner.n_jobs=1", f"runner.out={out}"]), progress=False)
+    runner.run(
+        compose_cells([*WORDS, "runner.chunk=50", "runner.n_jobs=1", f"runner.out={out}"]),
+        progress=False,
+    )
     return tables(out)
 
 
 @pytest.mark.slow
 def test_killed_at_twenty_random_moments(reference, tmp_path):
-    """Fifteen times the parent, five times a worker, then Ctrl-C; a quarter of them while the run starts."""
+    """Fifteen times the parent, five times a worker, then Ctrl-C; a quarter of them while the run
+    starts.
+    """
     moments = random.Random(20180710)
     words = [*WORDS, f"runner.out={tmp_path}"]
 
@@ -179,7 +194,9 @@ def disk(path, kilobytes):
     path.mkdir()
     try:
         done = subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", path], capture_output=True, text=True
+            ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", path],
+            capture_output=True,
+            text=True,
         )
     except OSError as error:
         pytest.skip(f"no disk of its own can be mounted here: {error}")
@@ -200,7 +217,9 @@ def test_a_full_disk(reference, tmp_path):
         words = [*WORDS, f"runner.out={out}"]
         status, said = Command(*words, "runner.n_jobs=2").finished()
         assert status == 1
-        assert "cannot be written any more: No space left on device; what was finished is kept" in said
+        assert (
+            "cannot be written any more: No space left on device; what was finished is kept" in said
+        )
         assert len(said.strip().splitlines()) == 1
         before = seals(out)
         assert 0 < len(before) < PARTS
@@ -233,7 +252,8 @@ def test_a_disk_that_becomes_read_only(reference, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", fails_later)
         with pytest.raises(
-            RunError, match="cannot be written any more: Read-only file system; what was finished is kept"
+            RunError,
+            match="cannot be written any more: Read-only file system; what was finished is kept",
         ):
             runner.run(cells, progress=False)
     before = seals(tmp_path)
@@ -280,11 +300,16 @@ def test_a_worker_without_memory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_hungry.py").write_text(HUNGRY)
     (tmp_path / "conf" / "estimator").mkdir(parents=True)
-    (tmp_path / "conf" / "estimator" / "hungry.yaml").write_text("hungry: {_target_: my_hungry.Hungry}\n")
+    (tmp_path / "conf" / "estimator" / "hungry.yaml").write_text(
+        "hungry: {_target_: my_hungry.Hungry}\n"
+    )
     words = ["estimator=[hungry]", "filter=[ekf_vmf]", "reps=400", "runner.chunk=128",
              "--config-dir", "conf", "plugins=[my_hungry]"]  # fmt: skip
     assert Command(*words, "runner.n_jobs=1", "runner.out=undisturbed").finished()[0] == 0
-    for how, match in (("hungry", "out of memory (Unable to allocate"), ("killed", "a worker process was killed")):
+    for how, match in (
+        ("hungry", "out of memory (Unable to allocate"),
+        ("killed", "a worker process was killed"),
+    ):
         (tmp_path / how).touch()
         status, said = Command(*words, "runner.n_jobs=2", "runner.out=out").finished()
         assert status == 1
@@ -298,7 +323,7 @@ def test_a_worker_without_memory(tmp_path, monkeypatch):
     assert_same(tmp_path / "out", tables(tmp_path / "undisturbed"))
 
 
-# --- altered parts ----------------------------------------------------------------------------------------------------
+# --- altered parts --------------------------------------------------------------------------------
 
 
 def small(out, reps=40):
@@ -345,7 +370,7 @@ def test_an_altered_part_is_found_computed_again_and_reported(file, how, tmp_pat
     assert "altered" not in capsys.readouterr().err
 
 
-# --- two runs at once -------------------------------------------------------------------------------------------------
+# --- two runs at once -----------------------------------------------------------------------------
 
 
 def test_a_second_run_says_that_it_waits_and_computes_nothing_twice(reference, tmp_path):

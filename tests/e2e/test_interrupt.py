@@ -11,7 +11,14 @@ import pytest
 
 from aoabench import store
 
-RUN = ["run", "noise=vmf", "filter=[pf_vmf,ekf_vmf]", "filter.pf_vmf.particles=20000", "reps=200", "runner.chunk=5"]
+RUN = [
+    "run",
+    "noise=vmf",
+    "filter=[pf_vmf,ekf_vmf]",
+    "filter.pf_vmf.particles=20000",
+    "reps=200",
+    "runner.chunk=5",
+]
 
 
 @pytest.mark.slow
@@ -27,7 +34,9 @@ def test_interrupted_runs_leave_whole_parts_and_go_on(backend, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests run in the background
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        ),  # where the tests run in the background
     )
     deadline = time.monotonic() + 120
     while not list(tmp_path.glob("parts/*/*.json")) and time.monotonic() < deadline:
@@ -39,7 +48,8 @@ def test_interrupted_runs_leave_whole_parts_and_go_on(backend, tmp_path):
     assert process.returncode == 130
     assert "Traceback" not in said
     found = {
-        f.name: [(p.start, p.stop) for p in store.intact_parts(tmp_path, f.name)] for f in tmp_path.glob("parts/*")
+        f.name: [(p.start, p.stop) for p in store.intact_parts(tmp_path, f.name)]
+        for f in tmp_path.glob("parts/*")
     }
     assert 0 < sum(b - a for parts in found.values() for a, b in parts) < 400
     before = {f: f.stat().st_mtime_ns for f in tmp_path.glob("parts/*/*.parquet")}

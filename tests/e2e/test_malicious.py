@@ -1,5 +1,6 @@
-"""Configs from elsewhere: none of them makes us import or run what the command line does not list in plugins, write
-outside the output folder, or listen to another machine; and nothing is unpickled from disk."""
+"""Configs from elsewhere: none of them makes us import or run what the command line does not list
+in plugins, write outside the output folder, or listen to another machine; and nothing is unpickled
+from disk."""
 
 import json
 import pickle
@@ -144,7 +145,10 @@ def test_a_run_folder_from_elsewhere_cannot_name_code(finished, tmp_path, monkey
     out, _ = finished
 
     def change(record):
-        record["config"]["filter"]["ekf_vmf"]["measurement"] = {"_target_": "os.system", "command": "touch HIT"}
+        record["config"]["filter"]["ekf_vmf"]["measurement"] = {
+            "_target_": "os.system",
+            "command": "touch HIT",
+        }
         record["plugins"] = ["evil"]
 
     rewritten(out, change)
@@ -171,21 +175,34 @@ def test_a_run_folder_from_elsewhere_cannot_name_files(finished, tmp_path):
     assert [p.name for p in (out / "replay").iterdir()] == [f"{cell}-_._.._.._outside-1.parquet"]
     rewritten(out, lambda record: record.update(cell="../../outside"))
     assert tables.records(out) == [], "it does not belong to its file"
-    rewritten(out, lambda record: (record.update(cell=cell), record["estimators"]["ekf_vmf"].update(key="../../x")))
+    rewritten(
+        out,
+        lambda record: (
+            record.update(cell=cell),
+            record["estimators"]["ekf_vmf"].update(key="../../x"),
+        ),
+    )
     assert tables.records(out) == []
     assert frame.exists()
     assert runner.run(cells, progress=False).computed == 0, "the parts are still there"
 
 
 def test_nothing_is_unpickled(tmp_path, monkeypatch):
-    """Neither a run nor what reads one; compiled kernels, which numba keeps beside our own code, left out."""
+    """Neither a run nor what reads one; compiled kernels, which numba keeps beside our own code,
+    left out.
+    """
 
     def refuse(*_args, **_kwargs):
         raise AssertionError("something was unpickled")
 
     for name in ("load", "loads", "Unpickler"):
         monkeypatch.setattr(pickle, name, refuse)
-    words = ["filter=[ekf_vmf]", "filter.ekf_vmf.engine=numpy", "store.steps=true", "runner.n_jobs=1"]
+    words = [
+        "filter=[ekf_vmf]",
+        "filter.ekf_vmf.engine=numpy",
+        "store.steps=true",
+        "runner.n_jobs=1",
+    ]
     for reps in (5, 9):
         assert len(aoabench.run(*words, f"reps={reps}", out=tmp_path)) == reps
     assert "as stored" in replay(tmp_path, 7, "ekf_vmf")

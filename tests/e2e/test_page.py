@@ -1,4 +1,6 @@
-"""The page in headless Chromium: it loads without a complaint, sorts, filters, and can be read narrow and on paper."""
+"""The page in headless Chromium: it loads without a complaint, sorts, filters, and can be read
+narrow and on paper.
+"""
 
 import json
 import re
@@ -11,8 +13,12 @@ import pytest
 
 from aoabench.report import page, study
 
-CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (apt-get install chromium)")
+CHROMIUM = next(
+    (p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None
+)
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium here (apt-get install chromium)"
+)
 COMMITTED = Path(__file__).parents[2] / "results"
 
 
@@ -28,8 +34,19 @@ def html(tmp_path_factory):
 
 
 def chromium(html, *options, timeout=120):
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", *options]
-    command += [f"--user-data-dir={html.parent / 'profile'}", "--virtual-time-budget=5000", html.as_uri()]
+    command = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        *options,
+    ]
+    command += [
+        f"--user-data-dir={html.parent / 'profile'}",
+        "--virtual-time-budget=5000",
+        html.as_uri(),
+    ]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=True)
 
 
@@ -46,7 +63,9 @@ def told(html, script, width=None):
         outer = html.with_name("frame.html")
         listen = "addEventListener('message', (e) => { document.body.dataset.told = e.data; })"
         frame = f'<iframe src="altered.html" style="width: {width}px; height: 900px; border: 0"></iframe>'
-        outer.write_text(f"<!doctype html><body><script>{listen}</script>{frame}</body>", encoding="utf-8")
+        outer.write_text(
+            f"<!doctype html><body><script>{listen}</script>{frame}</body>", encoding="utf-8"
+        )
     done = chromium(outer if width else altered, "--dump-dom")
     found = re.search(r'<body data-told="([^"]*)"', done.stdout)
     console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
@@ -58,7 +77,9 @@ ROWS = "const shown = [...document.querySelectorAll('#front tbody tr')].filter((
 
 def test_it_loads_without_a_complaint_and_asks_no_network(html):
     count, console = told(
-        html, ROWS + "return [shown.length, document.images.length, [...document.images].every((i) => i.alt)];"
+        html,
+        ROWS
+        + "return [shown.length, document.images.length, [...document.images].every((i) => i.alt)];",
     )
     assert console == []
     assert count[0] > 300

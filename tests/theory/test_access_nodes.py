@@ -1,4 +1,6 @@
-"""EKF at access nodes and weighted centroid: the textbook's update, finite differences, kernel and NumPy, errata."""
+"""EKF at access nodes and weighted centroid: the textbook's update, finite differences, kernel and
+NumPy, errata.
+"""
 
 from itertools import combinations
 from types import SimpleNamespace
@@ -19,17 +21,23 @@ SUBSETS = [s for n in range(5) for s in combinations(an.PRINTED, n)]
 def upright(rng, n):
     turn = rng.uniform(-np.pi, np.pi, n)
     c, s, zero, one = np.cos(turn), np.sin(turn), np.zeros(n), np.ones(n)
-    return np.stack([np.stack(r, -1) for r in ((c, s, zero), (-s, c, zero), (zero, zero, one))], axis=-2)
+    return np.stack(
+        [np.stack(r, -1) for r in ((c, s, zero), (-s, c, zero), (zero, zero, one))], axis=-2
+    )
 
 
 @pytest.fixture
 def anchors(rng):
-    position = np.concatenate([rng.uniform(-10, 10, (1, B, 2)), rng.uniform(2, 3, (1, B, 1))], axis=-1)
+    position = np.concatenate(
+        [rng.uniform(-10, 10, (1, B, 2)), rng.uniform(2, 3, (1, B, 1))], axis=-1
+    )
     return Anchors(position, upright(rng, B)[None], np.broadcast_to([0.5, 0.5, 0.05], (1, B, 3)))
 
 
 def test_derivatives_are_finite_differences(anchors, rng):
-    """Of range, azimuth and elevation by the position; by the AN's own position they are the opposite."""
+    """Of range, azimuth and elevation by the position; by the AN's own position they are the
+    opposite.
+    """
     x, e = rng.uniform(-5, 5, (4, 3)), 1e-6
     _, H = an.expected(x, anchors)
     for q, step in enumerate(e * np.eye(3)):
@@ -78,7 +86,9 @@ def textbook(x, y, q, anchors, C, flags):
 
 @pytest.mark.parametrize("printed", SUBSETS, ids="-".join)
 def test_update_is_the_textbooks(printed, anchors, rng):
-    """One step of the filter against K = P H^T (H P H^T + R)^-1 with stacked matrices, any errata as printed."""
+    """One step of the filter against K = P H^T (H P H^T + R)^-1 with stacked matrices, any errata
+    as printed.
+    """
     flags = tuple(name in printed for name in an.PRINTED)
     C = np.tile([0.25, 0.25, 0.0025], (B, 1))
     x = np.concatenate([rng.uniform(-3, 3, (1, 3)), rng.normal(size=(1, 6))], axis=-1)
@@ -104,7 +114,10 @@ def track(rng, anchors, R=11, T=40, missing=0.3):
     """A straight walk among the anchors, their measurements and what a filter starts from."""
     F, _ = ConstantAcceleration(0.1).matrices(0.1)
     x = np.zeros((R, T, 9))
-    x[:, 0, :3], x[:, 0, 3:6] = rng.uniform(-3, 3, (R, 3)) * [1, 1, 0.1], rng.uniform(-1, 1, (R, 3)) * [1, 1, 0.1]
+    x[:, 0, :3], x[:, 0, 3:6] = (
+        rng.uniform(-3, 3, (R, 3)) * [1, 1, 0.1],
+        rng.uniform(-1, 1, (R, 3)) * [1, 1, 0.1],
+    )
     for k in range(1, T):
         x[:, k] = x[:, k - 1] @ F.T
     h, _ = an.expected(x[..., :3].reshape(-1, 3), Anchors(anchors.position, anchors.rotation))
@@ -127,7 +140,9 @@ def track(rng, anchors, R=11, T=40, missing=0.3):
 @pytest.mark.parametrize("printed", SUBSETS, ids="-".join)
 def test_the_kernel_equals_numpy(toa, printed, anchors, rng):
     _, batch, scenario = track(rng, anchors)
-    fast, slow = (an.AccessNodeEKF(toa, printed, engine=e)(batch, scenario, None) for e in ("auto", "numpy"))
+    fast, slow = (
+        an.AccessNodeEKF(toa, printed, engine=e)(batch, scenario, None) for e in ("auto", "numpy")
+    )
     assert np.allclose(fast.position, slow.position, atol=1e-7)
     assert np.allclose(fast.covariance, slow.covariance, atol=1e-9)
     assert np.array_equal(fast.outcome, slow.outcome)
@@ -147,11 +162,20 @@ def test_the_filter_follows_the_walk_and_knows_how_well(anchors, rng):
 
 def test_bad_input_is_named(anchors, rng):
     _, batch, scenario = track(rng, anchors)
-    for bad in ({"toa": "yes"}, {"as_printed": "wrap"}, {"as_printed": ["wrong"]}, {"engine": "fast"}):
+    for bad in (
+        {"toa": "yes"},
+        {"as_printed": "wrap"},
+        {"as_printed": ["wrong"]},
+        {"engine": "fast"},
+    ):
         with pytest.raises(BadValue):
             an.AccessNodeEKF(**bad)
     without = Batch(
-        batch.azimuth, batch.elevation, batch.anchors, prior_mean=batch.prior_mean, prior_cov=batch.prior_cov
+        batch.azimuth,
+        batch.elevation,
+        batch.anchors,
+        prior_mean=batch.prior_mean,
+        prior_cov=batch.prior_cov,
     )
     with pytest.raises(BadValue, match="ofdm_crlb"):
         an.AccessNodeEKF()(without, scenario, None)
@@ -159,7 +183,9 @@ def test_bad_input_is_named(anchors, rng):
         WeightedCentroid()(without, scenario, None)
 
 
-def test_centroid_of_exact_measurements_is_the_position_and_of_others_the_weighted_mean(anchors, rng):
+def test_centroid_of_exact_measurements_is_the_position_and_of_others_the_weighted_mean(
+    anchors, rng
+):
     x = rng.uniform(-3, 3, (2, 5, 3))
     h, _ = an.expected(x.reshape(-1, 3), anchors)
     h = h.reshape(2, 5, B, 3)
@@ -168,7 +194,9 @@ def test_centroid_of_exact_measurements_is_the_position_and_of_others_the_weight
     assert np.allclose(WeightedCentroid()(exact, None, None).position, x)
     delay = exact.delay + sigma * rng.normal(size=sigma.shape)
     delay[0, 0], delay[1, 2, :4] = np.nan, np.nan
-    found = WeightedCentroid()(Batch(h[..., 1], h[..., 2], anchors, delay=delay, delay_sigma=sigma), None, None)
+    found = WeightedCentroid()(
+        Batch(h[..., 1], h[..., 2], anchors, delay=delay, delay_sigma=sigma), None, None
+    )
     assert (found.outcome == Outcome.FAILED).sum() == 1
     assert found.outcome[0, 0] == Outcome.FAILED
     slow = np.zeros(3)
@@ -176,7 +204,11 @@ def test_centroid_of_exact_measurements_is_the_position_and_of_others_the_weight
         R, (_, a, e) = anchors.rotation[0, b], h[1, 2, b]
         theta = a + np.arctan2(R[0, 1], R[0, 0])
         r = LIGHT * delay[1, 2, b]
-        one = anchors.position[0, b] + r * np.array([np.cos(e) * np.cos(theta), np.cos(e) * np.sin(theta), np.sin(e)])
+        one = anchors.position[0, b] + r * np.array(
+            [np.cos(e) * np.cos(theta), np.cos(e) * np.sin(theta), np.sin(e)]
+        )
         slow += one / sigma[1, 2, b] ** 2
     assert np.allclose(found.position[1, 2], slow / (1 / sigma[1, 2, 4:] ** 2).sum())
-    assert not np.allclose(WeightedCentroid(as_printed=True)(exact, None, None).position, x, atol=0.1)
+    assert not np.allclose(
+        WeightedCentroid(as_printed=True)(exact, None, None).position, x, atol=0.1
+    )

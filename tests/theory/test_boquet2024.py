@@ -1,4 +1,6 @@
-"""The Boquet 2024 study: closed forms behind its figures, its errata, and its numbers on made-up fixes."""
+"""The Boquet 2024 study: closed forms behind its figures, its errata, and its numbers on made-up
+fixes.
+"""
 
 from types import SimpleNamespace
 
@@ -37,18 +39,24 @@ def angles_of(p, s):
     """A batch of one fix: exact angles of p (3,) from upright anchors s (B, 3)."""
     s = np.atleast_2d(s)
     azimuth, elevation = to_azel(*(np.asarray(p) - s).T)
-    return Batch(azimuth[None, None], elevation[None, None], Anchors(s[None], np.eye(3)[None, None].repeat(len(s), 1)))
+    return Batch(
+        azimuth[None, None],
+        elevation[None, None],
+        Anchors(s[None], np.eye(3)[None, None].repeat(len(s), 1)),
+    )
 
 
 def place(batch, height=0.0):
     return SimpleNamespace(known_anchors=batch.anchors, height_m=height)
 
 
-# --- Figures 2 and 3 --------------------------------------------------------------------------------------------------
+# --- Figures 2 and 3 ------------------------------------------------------------------------------
 
 
 def test_gdop_is_that_of_the_printed_jacobian_put_right(rng):
-    """(29)-(34) with a gradient in each column, the row of the known z left out, M = J W^-1 J^T: errata B6, B7."""
+    """(29)-(34) with a gradient in each column, the row of the known z left out, M = J W^-1 J^T:
+    errata B6, B7.
+    """
     s = np.array([[1.0, 2, 3], [6, 1, 2.5]])
     p = np.array([4.0, 5.0, 0.0])
     M = np.zeros((2, 2))
@@ -58,7 +66,9 @@ def test_gdop_is_that_of_the_printed_jacobian_put_right(rng):
         J = np.array([[-y / rho2, -x * z / root], [x / rho2, -y * z / root]])
         M += J @ J.T
     anchors = Anchors(s[None], np.broadcast_to(np.eye(3), (1, 2, 3, 3)))
-    assert bounds.gdop(p, anchors, known_z=True) == pytest.approx(np.sqrt(np.trace(np.linalg.inv(M))))
+    assert bounds.gdop(p, anchors, known_z=True) == pytest.approx(
+        np.sqrt(np.trace(np.linalg.inv(M)))
+    )
     zeroed = np.zeros((3, 3))
     zeroed[:2, :2] = M
     assert np.linalg.matrix_rank(zeroed) == 2, "a row of zeros has no inverse"
@@ -68,12 +78,16 @@ def test_the_text_on_one_anchor_holds():
     """sqrt(h^2) = 3 m below it; sqrt(3) times that where u = rho^2 solves u^2 + 27 u - 162 = 0."""
     values = figures.fig2_values(numbers.fig2("quick"))
     assert values["fig2/minimum"].value == pytest.approx(3.0, abs=1e-6)
-    assert values["fig2/root3"].value == pytest.approx(np.sqrt((-27 + np.sqrt(27**2 + 4 * 162)) / 2), abs=1e-6)
+    assert values["fig2/root3"].value == pytest.approx(
+        np.sqrt((-27 + np.sqrt(27**2 + 4 * 162)) / 2), abs=1e-6
+    )
     assert all(values[f"fig2/{n}/more"].value > 0 for n in ("two", "three", "four"))
 
 
 def test_percentile_of_the_far_anchor_by_quadrature():
-    """P(error of B <= 1.9 m) at (8.5, 3), by integrating over both normals; the samples agree within 4 s.e."""
+    """P(error of B <= 1.9 m) at (8.5, 3), by integrating over both normals; the samples agree
+    within 4 s.e.
+    """
     rows = numbers.fig3a("quick").set_index(["kind", "who"])
     q = rows.loc[("unclipped", "B")]
     rho, height = np.hypot(1.0, -2.0), 3.0
@@ -89,7 +103,9 @@ def test_percentile_of_the_far_anchor_by_quadrature():
 
     p = integrate.quad(inside, -1.2, 1.2, limit=400, points=[0.0])[0]
     density = 0.05 / q["q95_m"]  # a lower limit of the density there
-    assert p == pytest.approx(0.95, abs=4 * max(q["q95_se"] * density * 4, np.sqrt(0.05 * 0.95 / 10_000)))
+    assert p == pytest.approx(
+        0.95, abs=4 * max(q["q95_se"] * density * 4, np.sqrt(0.05 * 0.95 / 10_000))
+    )
 
 
 def test_the_rule_of_root_three():
@@ -99,15 +115,21 @@ def test_the_rule_of_root_three():
     assert threshold.value == pytest.approx(np.sqrt(3), abs=4 * threshold.se)
 
 
-# --- errata of the filter ---------------------------------------------------------------------------------------------
+# --- errata of the filter -------------------------------------------------------------------------
 
 
 def test_two_pairs_tie_at_three_anchors():
-    """B1: the middle ellipse meets both others, which do not meet: the vote ends in two pairs, and (19) decides."""
+    """B1: the middle ellipse meets both others, which do not meet: the vote ends in two pairs, and
+    (19) decides.
+    """
     s = np.array([[0.0, 0, 3], [0, 0, 3], [0, 0, 3]])
-    x = np.array([4.0, 5.0, 6.4])  # radial places of one direction; the second is nearer to the first
+    x = np.array(
+        [4.0, 5.0, 6.4]
+    )  # radial places of one direction; the second is nearer to the first
     batch = Batch(
-        np.zeros((1, 1, 3)), np.arctan2(-3, x)[None, None], Anchors(s[None], np.eye(3)[None, None].repeat(3, 1))
+        np.zeros((1, 1, 3)),
+        np.arctan2(-3, x)[None, None],
+        Anchors(s[None], np.eye(3)[None, None].repeat(3, 1)),
     )
     options = {"r_sigma": 1.0, "azimuth_sigma_deg": 8, "elevation_sigma_deg": 4, "engine": "numpy"}
     first = Discrepancy(ties="first", **options)(batch, place(batch), None)
@@ -116,8 +138,12 @@ def test_two_pairs_tie_at_three_anchors():
     turned = Discrepancy(ties="first", **options)(swapped, place(batch), None)
     back = Discrepancy(ties="area", **options)(swapped, place(batch), None)
     assert first.anchors_used[0, 0] == area.anchors_used[0, 0] == 2
-    assert abs(first.position[0, 0, 0] - turned.position[0, 0, 0]) > 0.5, "the order of the anchors decides"
-    assert area.position[0, 0, 0] == pytest.approx(back.position[0, 0, 0]), "their areas do not know it"
+    assert abs(first.position[0, 0, 0] - turned.position[0, 0, 0]) > 0.5, (
+        "the order of the anchors decides"
+    )
+    assert area.position[0, 0, 0] == pytest.approx(back.position[0, 0, 0]), (
+        "their areas do not know it"
+    )
 
 
 def test_boxes_meet_where_ellipses_do_not():
@@ -132,7 +158,8 @@ def test_boxes_meet_where_ellipses_do_not():
             Anchors(s[None], np.eye(3)[None, None].repeat(2, 1)),
         )  # fmt: skip
         found = [
-            Discrepancy(0.4, intersection=kind)(batch, place(batch), None).outcome[0, 0] for kind in ("boxes", "exact")
+            Discrepancy(0.4, intersection=kind)(batch, place(batch), None).outcome[0, 0]
+            for kind in ("boxes", "exact")
         ]
         if found == [Outcome.OK, Outcome.REJECTED]:
             return
@@ -141,7 +168,9 @@ def test_boxes_meet_where_ellipses_do_not():
 
 
 def test_the_midpoint_doubles_the_bias():
-    """B3: for small sigma, E f(phi + e) - f is f'' sigma^2 / 2, and the midpoint adds as much again."""
+    """B3: for small sigma, E f(phi + e) - f is f'' sigma^2 / 2, and the midpoint adds as much
+    again.
+    """
     rng = np.random.default_rng(3)
     s, p, sigma = np.array([[0.0, 0, 3]]), np.array([4.0, 0, 0]), np.deg2rad(3)
     n = 400_000
@@ -155,13 +184,19 @@ def test_the_midpoint_doubles_the_bias():
         f = Discrepancy(1.0, elevation_sigma_deg=3, vote=False, centre=centre)
         x = f(batch, place(batch), None).position[0, :, 0] - 4.0
         bias[centre] = x.mean(), x.std() / np.sqrt(n)
-    second = 3 * np.cos(np.arctan2(3, 4)) / np.sin(np.arctan2(3, 4)) ** 3 * sigma**2  # f'' sigma^2 / 2, f = 3 cot
+    second = (
+        3 * np.cos(np.arctan2(3, 4)) / np.sin(np.arctan2(3, 4)) ** 3 * sigma**2
+    )  # f'' sigma^2 / 2, f = 3 cot
     assert bias["estimate"][0] == pytest.approx(second, abs=5 * bias["estimate"][1] + 0.1 * second)
-    assert bias["midpoint"][0] == pytest.approx(2 * second, abs=5 * bias["midpoint"][1] + 0.2 * second)
+    assert bias["midpoint"][0] == pytest.approx(
+        2 * second, abs=5 * bias["midpoint"][1] + 0.2 * second
+    )
 
 
 def test_beyond_the_horizon_rays_are_turned_down():
-    """B4: elevation plus deviation above the horizon meets no plane; limited, it meets it at h / tan(horizon)."""
+    """B4: elevation plus deviation above the horizon meets no plane; limited, it meets it at h /
+    tan(horizon).
+    """
     s = np.array([[0.0, 0, 3]])
     batch = Batch(
         np.zeros((1, 1, 1)),
@@ -175,7 +210,9 @@ def test_beyond_the_horizon_rays_are_turned_down():
 
 
 def test_the_major_axis_points_away_from_the_anchor():
-    """B5: alpha counter-clockwise from x, so that the long axis of a far ellipse lies along the line of sight."""
+    """B5: alpha counter-clockwise from x, so that the long axis of a far ellipse lies along the
+    line of sight.
+    """
     for turn in np.deg2rad([0, 30, 100, -140]):
         p = 6 * np.array([np.cos(turn), np.sin(turn), 0])
         batch = angles_of(p, np.array([0.0, 0, 3]))
@@ -184,13 +221,18 @@ def test_the_major_axis_points_away_from_the_anchor():
         assert abs(long @ p[:2]) == pytest.approx(6, rel=1e-6)
 
 
-# --- the campaign -----------------------------------------------------------------------------------------------------
+# --- the campaign ---------------------------------------------------------------------------------
 
 
 def test_as_many_measurements_arrive_as_printed():
     """B8: 292 303 of 3 x 42 x 2400, within five standard deviations of a binomial."""
     cell = compose_cells(
-        ["scenario=ble_room", "scenario.packets=2400", "noise=ble_multipath", "estimator=[anchor_mean]"]
+        [
+            "scenario=ble_room",
+            "scenario.packets=2400",
+            "noise=ble_multipath",
+            "estimator=[anchor_mean]",
+        ]
     )[0]
     _, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 1)
     n, p = batch.azimuth.size, cell.noise.lost
@@ -208,10 +250,12 @@ def test_the_grids_are_whole_and_lie_as_printed():
     assert grids["single_anchor_2"][at[0.6, 7.85]] == 0.18
     assert grids["vmf_ml"][at[6.6, 0.65]] == 1.51
     near = np.array([np.hypot(x - 1.8, y - 6.9) for x, y in points])
-    assert np.corrcoef(near, grids["single_anchor_2"])[0, 1] > 0.7, "A2's errors grow with the distance from anchor 2"
+    assert np.corrcoef(near, grids["single_anchor_2"])[0, 1] > 0.7, (
+        "A2's errors grow with the distance from anchor 2"
+    )
 
 
-# --- numbers on made-up fixes -----------------------------------------------------------------------------------------
+# --- numbers on made-up fixes ---------------------------------------------------------------------
 
 
 def test_both_readings_of_the_discard_ratio():
@@ -234,7 +278,9 @@ def test_jackknife_of_a_mean_is_its_standard_error(rng):
 
 
 def test_differences_are_paired(rng):
-    """Two methods with the same good and bad campaigns: the paired error is far below the single ones."""
+    """Two methods with the same good and bad campaigns: the paired error is far below the single
+    ones.
+    """
     bad = rng.random((50, 1)) < 0.5
     a = np.where(bad & (rng.random((50, 100)) < 0.9), 2.0, 0.5)
     b = np.where(rng.random(a.shape) < 0.02, 2.0, a)
@@ -255,14 +301,20 @@ def test_thresholds_keep_the_best_scores_up_to_the_coverage():
 def campaign(rng, R=5, P=42, K=4):
     """Made-up fixes of every estimator of the experiment: DF the better, the fewer it accepts."""
     base = np.abs(rng.normal(0, 0.8, (R, P * K)))
-    spec = yaml.safe_load((study.store.shipped("configs") / "experiment/boquet2024_methods.yaml").read_text())
+    spec = yaml.safe_load(
+        (study.store.shipped("configs") / "experiment/boquet2024_methods.yaml").read_text()
+    )
     names = [*spec["defaults"][2]["override /estimator"], *spec["estimator"]]
     fixes = {}
     for name in names:
         reject = []
         if name[-2:].isdigit():
             reject = list(zip(*np.nonzero(base > 0.3 + 0.1 * int(name[-2:]))))
-        fixes[name] = made(base + 0.05 * rng.random(base.shape), reject, score=base if name in numbers.SCORED else NAN)
+        fixes[name] = made(
+            base + 0.05 * rng.random(base.shape),
+            reject,
+            score=base if name in numbers.SCORED else NAN,
+        )
     return fixes
 
 
@@ -278,7 +330,11 @@ def test_every_item_computes_draws_and_tells_its_printed_numbers(rng):
             frame = getattr(numbers, item.name)([(cell, fixes)])
         elif item.name == "speed":
             frame = pd.DataFrame(
-                {"method": [*numbers.METHODS, "discrepancy", "discrepancy_exact"], "us_per_fix": 1.0, "us_se": 0.1}
+                {
+                    "method": [*numbers.METHODS, "discrepancy", "discrepancy_exact"],
+                    "us_per_fix": 1.0,
+                    "us_se": 0.1,
+                }
             )
         elif item.name == "fig3b":
             frame = pd.DataFrame(

@@ -1,4 +1,6 @@
-"""Fisher information, Cramér-Rao bound and dilution of precision against finite differences and closed forms."""
+"""Fisher information, Cramér-Rao bound and dilution of precision against finite differences and
+closed forms.
+"""
 
 import numpy as np
 import pytest
@@ -21,7 +23,10 @@ def test_information_is_that_of_the_measurement_by_finite_differences(anchors, r
     for point in rng.uniform(-5, 5, (10, 3)):
         h, step = AzEl(1.0), 1e-6
         rows = [
-            h.residual(h.predict((point + e)[None], anchors), h.predict((point - e)[None], anchors))[0] / (2 * step)
+            h.residual(
+                h.predict((point + e)[None], anchors), h.predict((point - e)[None], anchors)
+            )[0]
+            / (2 * step)
             for e in step * np.eye(3)
         ]
         G = np.array(rows).T / np.stack([sa, se], axis=-1).ravel()[:, None]
@@ -29,7 +34,9 @@ def test_information_is_that_of_the_measurement_by_finite_differences(anchors, r
 
 
 def test_two_anchors_at_right_angles():
-    """Both at distance d in the plane of the point: sigma^2 d^2 along each sight, half of it up, where both measure."""
+    """Both at distance d in the plane of the point: sigma^2 d^2 along each sight, half of it up,
+    where both measure.
+    """
     d, sigma = 7.0, 0.05
     anchors = Anchors(np.array([[[-d, 0, 0], [0, -d, 0.0]]]), np.tile(np.eye(3), (1, 2, 1, 1)))
     bound = crb(azel_information(np.zeros(3), anchors, sigma, sigma))
@@ -39,7 +46,9 @@ def test_two_anchors_at_right_angles():
 
 
 def test_closed_form_of_one_anchor_across_and_along():
-    """Azimuth moves by sigma rho across, elevation by sigma r; the distance is not observed, so there is no bound."""
+    """Azimuth moves by sigma rho across, elevation by sigma r; the distance is not observed, so
+    there is no bound.
+    """
     one = Anchors(np.zeros((1, 1, 3)), np.eye(3)[None, None])
     J = azel_information(np.array([3.0, 0, 4]), one, 0.1, 0.2)
     across, up, along = np.array([0, 1.0, 0]), np.array([-0.8, 0, 0.6]), np.array([0.6, 0, 0.8])
@@ -69,10 +78,21 @@ def test_direction_information_is_the_mean_curvature_of_von_mises_fisher(anchors
 
     E = step * np.eye(3)
     H = [
-        [loglik(point + a + b) - loglik(point + a - b) - loglik(point - a + b) + loglik(point - a - b) for b in E]
+        [
+            loglik(point + a + b)
+            - loglik(point + a - b)
+            - loglik(point - a + b)
+            + loglik(point - a - b)
+            for b in E
+        ]
         for a in E
     ]
-    assert np.allclose(-np.array(H) / (4 * step**2), direction_information(point, anchors, kappa), rtol=0.01, atol=0.02)
+    assert np.allclose(
+        -np.array(H) / (4 * step**2),
+        direction_information(point, anchors, kappa),
+        rtol=0.01,
+        atol=0.02,
+    )
 
 
 def test_azimuth_elevation_and_directions_agree_far_from_the_poles():
@@ -85,14 +105,18 @@ def test_azimuth_elevation_and_directions_agree_far_from_the_poles():
 @pytest.mark.parametrize("noise", ["ae_normal", "vmf"])
 @pytest.mark.parametrize("scenario", ["bs_grid", "square_track"])
 def test_every_scenario_has_its_bound(scenario, noise):
-    """By the noise's own information; with sigma = 1 deg the two kinds of noise allow the same within a third."""
+    """By the noise's own information; with sigma = 1 deg the two kinds of noise allow the same
+    within a third.
+    """
     names = "estimator=[ls]" if scenario == "bs_grid" else "filter=[ekf_vmf]"
     cell = compose_cells([f"scenario={scenario}", f"noise={noise}", names, "noise.sigma_deg=1"])[0]
     points = cell.scenario.truth(np.random.default_rng(0))[:, :3]
     bound = crb(cell.noise.information(points, cell.scenario.known_anchors))
     sigma = np.deg2rad(1.0)
     away = np.isfinite(bound).all((-1, -2))
-    assert away.mean() > (0.99 if scenario == "bs_grid" else 0.4)  # on the square's pole lines azimuth tells everything
+    assert away.mean() > (
+        0.99 if scenario == "bs_grid" else 0.4
+    )  # on the square's pole lines azimuth tells everything
     vmf = crb(direction_information(points, cell.scenario.known_anchors, 1 / sigma**2))
     if scenario == "bs_grid":
         ratio = np.sqrt(np.trace(bound, axis1=-2, axis2=-1) / np.trace(vmf, axis1=-2, axis2=-1))

@@ -21,7 +21,9 @@ EXTREMES = [1e-6, 1e-3, 0.05, 0.0999, 0.1001, 1.0, 33.0, 349.0, 351.0, 1e4, 1e6,
 @pytest.mark.parametrize("kappa", [1e-6, 0.1, 1.0, 33.0, 1e3, 1e5])
 def test_density_equals_scipy(kappa, rng):
     u = stats.vonmises_fisher(MU, max(kappa, 1.0)).rvs(2000, random_state=rng)
-    assert np.allclose(d.vmf_logpdf(u, MU, kappa), stats.vonmises_fisher(MU, kappa).logpdf(u), rtol=1e-9, atol=1e-8)
+    assert np.allclose(
+        d.vmf_logpdf(u, MU, kappa), stats.vonmises_fisher(MU, kappa).logpdf(u), rtol=1e-9, atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("kappa", EXTREMES)
@@ -50,12 +52,16 @@ def test_moments_equal_60_digit_arithmetic(kappa):
 
 def test_radial_variance_has_the_stable_form():
     for kappa in (0.2, 1.0, 20.0):
-        assert float(d.vmf_variances(kappa)[1]) == pytest.approx(1 / kappa**2 - 1 / np.sinh(kappa) ** 2, rel=1e-10)
+        assert float(d.vmf_variances(kappa)[1]) == pytest.approx(
+            1 / kappa**2 - 1 / np.sinh(kappa) ** 2, rel=1e-10
+        )
 
 
 @pytest.mark.parametrize("kappa", [1e-6, 0.5, 33.0, 1e4, 1e8])
 def test_sampler_has_the_exact_distribution(kappa):
-    """Kolmogorov-Smirnov on cosine and turn, chi-square on the mean; 3 tests at 1e-4 each: false alarm 3e-4."""
+    """Kolmogorov-Smirnov on cosine and turn, chi-square on the mean; 3 tests at 1e-4 each: false
+    alarm 3e-4.
+    """
     rng = np.random.default_rng(7)
     n = 200_000
     u = d.vmf_sample(rng, np.broadcast_to(MU, (n, 3)), kappa)
@@ -79,7 +85,9 @@ def test_sampler_agrees_with_scipys_sampler():
 
 @pytest.mark.parametrize("kappa", [0.5, 33.0, 1e4, 1e7])
 def test_fit_equals_scipy_and_finds_the_truth(kappa):
-    """Agreement with scipy's maximum likelihood where that converges; truth within 5 deviations (1e-6)."""
+    """Agreement with scipy's maximum likelihood where that converges; truth within 5 deviations
+    (1e-6).
+    """
     n = 100_000
     u = d.vmf_sample(np.random.default_rng(3), np.broadcast_to(MU, (n, 3)), kappa)
     mu, fitted = d.vmf_fit(u)
@@ -101,7 +109,11 @@ def test_nothing_overflows_from_tiny_to_huge_kappa(rng):
     with np.errstate(all="raise", under="ignore"):
         for kappa in (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e8):
             u = d.vmf_sample(rng, np.broadcast_to(MU, (1000, 3)), kappa)
-            for value in (d.vmf_logpdf(u, MU, kappa), d.vmf_logpdf(-u, MU, kappa), d.vmf_covariance(MU, kappa)):
+            for value in (
+                d.vmf_logpdf(u, MU, kappa),
+                d.vmf_logpdf(-u, MU, kappa),
+                d.vmf_covariance(MU, kappa),
+            ):
                 assert np.all(np.isfinite(value))
 
 
@@ -113,7 +125,7 @@ def test_sigma_and_kappa_are_inverse():
     assert VonMisesFisher(sigma_deg=10).concentration == pytest.approx(32.828, abs=1e-3)
 
 
-# --- flipping ---------------------------------------------------------------------------------------------------------
+# --- flipping -------------------------------------------------------------------------------------
 
 
 def paper_flip(azimuth, elevation):
@@ -148,34 +160,47 @@ def test_flipped_moments_equal_numerical_integration(sigma_deg, elevation_deg):
     assert mean == pytest.approx(w @ (e - b), abs=1e-6)
     assert rms == pytest.approx(np.sqrt(w @ (e - b) ** 2), abs=1e-6)
     flipped = w @ (np.cos(b + s * t) < 0)
-    assert d.flip_probability(b, s) == pytest.approx(flipped, abs=2e-5), "the grid's step decides at the kinks"
-    square = (1 - d.flip_probability(b, s)) * (w @ g.wrap(s * t) ** 2) + d.flip_probability(b, s) * (
-        w @ g.wrap(s * t + np.pi) ** 2
+    assert d.flip_probability(b, s) == pytest.approx(flipped, abs=2e-5), (
+        "the grid's step decides at the kinks"
     )
+    square = (1 - d.flip_probability(b, s)) * (w @ g.wrap(s * t) ** 2) + d.flip_probability(
+        b, s
+    ) * (w @ g.wrap(s * t + np.pi) ** 2)
     assert d.flipped_azimuth_std(b, s) == pytest.approx(np.sqrt(square), abs=1e-6)
 
 
 def test_figure_1_equals_numerical_integration_at_every_degree():
-    """Trapezoid over both noises, 181 elevations; absolute tolerance 1e-4 rad (the grid's step at the kinks)."""
+    """Trapezoid over both noises, 181 elevations; absolute tolerance 1e-4 rad (the grid's step at
+    the kinks).
+    """
     s, t = np.deg2rad(10), np.linspace(-9, 9, 200_000)
     w = np.exp(-0.5 * t**2)
     w /= w.sum()
     for b in np.deg2rad(np.arange(-90.0, 91.0)):
         _, e = d.flip(np.zeros_like(t), b + s * t)
-        assert d.flipped_elevation_moments(b, s)[1] == pytest.approx(np.sqrt(w @ (e - b) ** 2), abs=1e-4)
+        assert d.flipped_elevation_moments(b, s)[1] == pytest.approx(
+            np.sqrt(w @ (e - b) ** 2), abs=1e-4
+        )
         over = np.cos(b + s * t) < 0
-        square = sum(w[over == turned].sum() * (w @ g.wrap(s * t + np.pi * turned) ** 2) for turned in (False, True))
+        square = sum(
+            w[over == turned].sum() * (w @ g.wrap(s * t + np.pi * turned) ** 2)
+            for turned in (False, True)
+        )
         assert d.flipped_azimuth_std(b, s) == pytest.approx(np.sqrt(square), abs=1e-4)
 
 
 def test_figure_1_equals_direct_simulation():
-    """Where flips are frequent, or never happen: 2 numbers an elevation within 5 standard errors, false alarm 2e-4."""
+    """Where flips are frequent, or never happen: 2 numbers an elevation within 5 standard errors,
+    false alarm 2e-4.
+    """
     rng, n, s = np.random.default_rng(11), 40_000, np.deg2rad(10)
     grid = np.deg2rad(np.arange(-90.0, 91.0))
     flips = n * d.flip_probability(grid, s)
     grid = grid[(flips > 200) | (flips < 1e-3)][:, None]
     assert len(grid) > 120
-    a, e = d.flip(s * rng.standard_normal((len(grid), n)), grid + s * rng.standard_normal((len(grid), n)))
+    a, e = d.flip(
+        s * rng.standard_normal((len(grid), n)), grid + s * rng.standard_normal((len(grid), n))
+    )
     for error, exact in (
         (a, d.flipped_azimuth_std(grid[:, 0], s)),
         (e - grid, d.flipped_elevation_moments(grid[:, 0], s)[1]),
@@ -186,7 +211,13 @@ def test_figure_1_equals_direct_simulation():
 
 @pytest.mark.parametrize(
     "noise",
-    [NormalAngles(7.0), FlippedAngles(10.0), FlippedAngles(40.0), VonMisesFisher(10.0), VonMisesFisher(kappa=3.0)],
+    [
+        NormalAngles(7.0),
+        FlippedAngles(10.0),
+        FlippedAngles(40.0),
+        VonMisesFisher(10.0),
+        VonMisesFisher(kappa=3.0),
+    ],
 )
 def test_fitted_deviations_equal_simulation(noise):
     """Within 4 standard errors of 1e6 draws, 2 numbers a noise: false alarm 6e-4."""
@@ -200,15 +231,24 @@ def test_fitted_deviations_equal_simulation(noise):
 
 @pytest.mark.parametrize("sigma_deg", [0.01, 0.1, 0.5, 3.0, 60.0])
 def test_fitted_deviations_equal_adaptive_quadrature(sigma_deg):
-    """Model I against scipy's adaptive quadrature in colatitude on each scale of sigma; 1e-4 relative."""
+    """Model I against scipy's adaptive quadrature in colatitude on each scale of sigma; 1e-4
+    relative.
+    """
     noise = FlippedAngles(sigma_deg)
 
     def density(colatitude, angle):
-        return float(noise.residual_rms(np.array([np.pi / 2 - colatitude]))[angle][0]) ** 2 * np.sin(colatitude)
+        return float(
+            noise.residual_rms(np.array([np.pi / 2 - colatitude]))[angle][0]
+        ) ** 2 * np.sin(colatitude)
 
-    edges = np.unique(np.minimum(noise.sigma * np.array([0, 1, 2, 4, 8, 16]), np.pi / 2).tolist() + [np.pi / 2])
+    edges = np.unique(
+        np.minimum(noise.sigma * np.array([0, 1, 2, 4, 8, 16]), np.pi / 2).tolist() + [np.pi / 2]
+    )
     for angle in (0, 1):
-        total = sum(integrate.quad(density, a, b, args=(angle,), limit=200)[0] for a, b in itertools.pairwise(edges))
+        total = sum(
+            integrate.quad(density, a, b, args=(angle,), limit=200)[0]
+            for a, b in itertools.pairwise(edges)
+        )
         assert noise.fitted()[angle] == pytest.approx(np.sqrt(total), rel=1e-4)
 
 
@@ -221,5 +261,9 @@ def test_fitted_azimuth_is_18_degrees_for_model_1_and_not_21_for_model_2():
     repeats = []
     for _ in range(20):
         az, el = rng.uniform(-np.pi, np.pi, n), np.arcsin(rng.uniform(-1, 1, n))
-        repeats.append(np.rad2deg(np.sqrt(np.mean(g.wrap(VonMisesFisher(10.0).perturb(rng, az, el)[0] - az) ** 2))))
+        repeats.append(
+            np.rad2deg(
+                np.sqrt(np.mean(g.wrap(VonMisesFisher(10.0).perturb(rng, az, el)[0] - az) ** 2))
+            )
+        )
     assert model2 + 4 * np.std(repeats) < 20.5

@@ -1,4 +1,6 @@
-"""The indoor map: the shipped plan recounted, line of sight, the route, the motion model, every bad file in one line."""
+"""The indoor map: the shipped plan recounted, line of sight, the route, the motion model, every bad
+file in one line.
+"""
 
 import json
 import os
@@ -49,7 +51,7 @@ def plan():
     return visited, shapely.union_all(found["wall"])
 
 
-# --- the shipped plan, recounted --------------------------------------------------------------------------------------
+# --- the shipped plan, recounted ------------------------------------------------------------------
 
 
 def test_the_walls_are_those_of_the_file(shipped_map, plan):
@@ -66,7 +68,9 @@ def test_corridors_are_5_m_wide(plan):
     assert visited.buffer(-2.49).geom_type == "Polygon"  # nowhere less: it stays in one piece
     hall, *corners = sorted(shapely.get_parts(visited.buffer(-2.51)), key=lambda part: -part.area)
     assert hall.area > 300
-    assert all(corner.area < 2 for corner in corners)  # of corridors more than 5 m wide nothing but bends is left
+    assert all(
+        corner.area < 2 for corner in corners
+    )  # of corridors more than 5 m wide nothing but bends is left
 
 
 def test_access_nodes_hang_on_the_walls_and_look_inward(shipped_map, plan):
@@ -76,10 +80,14 @@ def test_access_nodes_hang_on_the_walls_and_look_inward(shipped_map, plan):
     assert np.all(position[:, 2] == 3)
     points = shapely.points(position[:, :2])
     assert np.all(shapely.contains(visited, points))
-    assert np.all(shapely.distance(walls, points) > 0.01)  # its own wall does not hide an access node
+    assert np.all(
+        shapely.distance(walls, points) > 0.01
+    )  # its own wall does not hide an access node
     assert np.all(shapely.distance(visited.exterior, points) < 0.1)
     assert np.all(shapely.contains(visited, shapely.points(position[:, :2] + 2 * R[:, 0, :2])))
-    assert not np.any(shapely.contains(visited, shapely.points(position[:, :2] - 0.1 * R[:, 0, :2])))
+    assert not np.any(
+        shapely.contains(visited, shapely.points(position[:, :2] - 0.1 * R[:, 0, :2]))
+    )
     gaps = np.diff(np.sort(shapely.line_locate_point(visited.exterior, points)))
     assert gaps.max() < 1.3 * gaps.mean()
     assert gaps.min() > 0.7 * gaps.mean()
@@ -106,7 +114,9 @@ def test_the_route(shipped_map, plan, rng):
     assert shapely.distance(walls, points).min() > 0.5
     assert shipped_map.line_of_sight(truth[:, :3]).sum(axis=1).min() >= 4
     step = np.diff(truth[:, :3], axis=0)
-    chord = 2 * 2.0 * np.sin(1.1 * 0.1 / (2 * 2.0))  # the way of one step on an arc, as the crow flies
+    chord = (
+        2 * 2.0 * np.sin(1.1 * 0.1 / (2 * 2.0))
+    )  # the way of one step on an arc, as the crow flies
     speed = np.linalg.norm(step, axis=1) / 0.1
     assert speed.max() <= 1.1 * (1 + 1e-5)  # the climb adds five millionths
     assert speed.min() >= chord / 0.1 * (1 - 1e-9)
@@ -126,13 +136,15 @@ def test_velocity_and_acceleration_are_the_derivatives(rng):
     arcs = np.flatnonzero(np.linalg.norm(acceleration, axis=1) > 0)
     jumps = np.flatnonzero(np.abs(np.diff(acceleration, axis=0)).max(axis=1) > 0.01)
     away = np.setdiff1d(np.arange(1, len(truth) - 1), np.concatenate([jumps, jumps + 1]))
-    assert np.allclose(((velocity[2:] - velocity[:-2]) / 0.002)[away - 1], acceleration[away], atol=1e-6)
+    assert np.allclose(
+        ((velocity[2:] - velocity[:-2]) / 0.002)[away - 1], acceleration[away], atol=1e-6
+    )
     assert np.allclose(np.linalg.norm(acceleration[arcs], axis=1), 1.1**2 / 2.0)
     assert len(jumps) == 2 * 3  # into and out of each corner
     assert np.allclose(np.linalg.norm(velocity[:, :2], axis=1), 1.1)
 
 
-# --- line of sight ----------------------------------------------------------------------------------------------------
+# --- line of sight --------------------------------------------------------------------------------
 
 
 def crosses(a, b, c, d):
@@ -154,16 +166,23 @@ def test_line_of_sight_is_what_orientation_tests_and_shapely_find(walls, rng):
         for a in range(len(anchors)):
             ends = points[p, :2], anchors[a, :2]
             assert found[p, a] == (not any(crosses(*ends, *s) for s in segments))
-            assert found[p, a] == (not any(line.intersects(shapely.LineString(ends)) for line in lines))
+            assert found[p, a] == (
+                not any(line.intersects(shapely.LineString(ends)) for line in lines)
+            )
     assert 0 < found.mean() < 1
 
 
 def test_line_of_sight_on_the_shipped_plan(shipped_map, rng):
-    points, anchors = rng.uniform([0, 0, 0], [150, 112, 3], (60, 3)), shipped_map.known_anchors.position[0]
+    points, anchors = (
+        rng.uniform([0, 0, 0], [150, 112, 3], (60, 3)),
+        shipped_map.known_anchors.position[0],
+    )
     points[:20] = shipped_map.truth(rng)[::150, :3][:20]
     found = shipped_map.line_of_sight(points)
     walls = shapely.MultiLineString(list(shipped_map.segments))
-    slow = [[not walls.intersects(shapely.LineString([p[:2], a[:2]])) for a in anchors] for p in points]
+    slow = [
+        [not walls.intersects(shapely.LineString([p[:2], a[:2]])) for a in anchors] for p in points
+    ]
     assert np.array_equal(found, slow)
 
 
@@ -202,7 +221,7 @@ def test_the_routes_tables_are_kept_and_travel(shipped_map, rng):
     assert np.array_equal(again.reported(points), table)
 
 
-# --- the motion model -------------------------------------------------------------------------------------------------
+# --- the motion model -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.1, 2.0])
@@ -229,8 +248,12 @@ def white(e, sample):
     """Two-sided tests, each with ONE_IN_A_MILLION false alarms, that e (N, 9) is N(0, I)."""
     N = len(e)
     total = np.sum(e**2)
-    assert chi2.ppf(ONE_IN_A_MILLION / 2, 9 * N) < total < chi2.isf(ONE_IN_A_MILLION / 2, 9 * N), sample
-    moments = np.triu(e.T @ e / N - np.eye(9)) / np.sqrt((1 + np.eye(9)) / N)  # 45 numbers, nearly normal for large N
+    assert chi2.ppf(ONE_IN_A_MILLION / 2, 9 * N) < total < chi2.isf(ONE_IN_A_MILLION / 2, 9 * N), (
+        sample
+    )
+    moments = np.triu(e.T @ e / N - np.eye(9)) / np.sqrt(
+        (1 + np.eye(9)) / N
+    )  # 45 numbers, nearly normal for large N
     assert np.abs(moments).max() < norm.isf(ONE_IN_A_MILLION / 45 / 2), sample
     assert np.abs(e.mean(axis=0)).max() * np.sqrt(N) < norm.isf(ONE_IN_A_MILLION / 9 / 2), sample
 
@@ -272,10 +295,12 @@ def test_the_prior_is_drawn_around_the_true_start(shipped_map, rng):
     assert np.all(drawn[:, 3:] == 0)
     e = (drawn[:, :3] - [17.5, 24.5, 1]) / [1, 1, 0.1]
     assert np.abs(e.mean(axis=0)).max() * np.sqrt(4000) < norm.isf(ONE_IN_A_MILLION / 3 / 2)
-    assert chi2.ppf(ONE_IN_A_MILLION / 2, 12000) < np.sum(e**2) < chi2.isf(ONE_IN_A_MILLION / 2, 12000)
+    assert (
+        chi2.ppf(ONE_IN_A_MILLION / 2, 12000) < np.sum(e**2) < chi2.isf(ONE_IN_A_MILLION / 2, 12000)
+    )
 
 
-# --- files and parameters ---------------------------------------------------------------------------------------------
+# --- files and parameters -------------------------------------------------------------------------
 
 ANCHORS = "x_m,y_m,z_m,facing_deg\n0,1,3,0\n5,-1,3,90\n"
 MOTION = {"_target_": "aoabench.models.motion.ConstantAcceleration", "q": 0.1}
@@ -305,12 +330,21 @@ def collection(*features, **more):
 
 
 def feature(form, coordinates, **properties):
-    return {"type": "Feature", "properties": properties, "geometry": {"type": form, "coordinates": coordinates}}
+    return {
+        "type": "Feature",
+        "properties": properties,
+        "geometry": {"type": form, "coordinates": coordinates},
+    }
 
 
 def test_walls_from_csv_equal_those_from_geojson(shipped_map, here, rng):
-    rows = [",".join(map(repr, [f"wall {i}", *s.ravel().tolist()])) for i, s in enumerate(shipped_map.segments)]
-    (here / "w.csv").write_text("\ufeffname,x0_m,y0_m,x1_m,y1_m\r\n" + "\r\n".join(rows) + "\r\n\r\n", encoding="utf-8")
+    rows = [
+        ",".join(map(repr, [f"wall {i}", *s.ravel().tolist()]))
+        for i, s in enumerate(shipped_map.segments)
+    ]
+    (here / "w.csv").write_text(
+        "\ufeffname,x0_m,y0_m,x1_m,y1_m\r\n" + "\r\n".join(rows) + "\r\n\r\n", encoding="utf-8"
+    )
     mine = replace(shipped_map, walls="w.csv")
     points = shipped_map.truth(rng)[::60, :3]
     assert np.array_equal(mine.segments, shipped_map.segments)
@@ -326,7 +360,11 @@ def test_own_files_come_first_and_any_path_will_do(here):
     content = collection(
         feature("LineString", [[2, 2], [2, 2], [4, 2, 9]], kind="wall"),
         feature("MultiLineString", [[[2, -1], [2, 1], [3, 1]], [[0, 5], [1, 5]]]),
-        {"type": "Feature", "properties": None, "geometry": {"type": "LineString", "coordinates": [[7, 7], [8, 8]]}},
+        {
+            "type": "Feature",
+            "properties": None,
+            "geometry": {"type": "LineString", "coordinates": [[7, 7], [8, 8]]},
+        },
         feature("Polygon", [square, hole], kind="visited"),
         units="m",
     )
@@ -340,7 +378,9 @@ def test_own_files_come_first_and_any_path_will_do(here):
         assert mine.visited_area_m2 == pytest.approx(4 - 1)
     seen = mine.line_of_sight(mine.truth(None)[:, :3])
     x = mine.truth(None)[:, 0]
-    assert np.array_equal(seen[:, 0], x < 2)  # behind the wall at x = 2, -1 <= y <= 1 the first is hidden
+    assert np.array_equal(
+        seen[:, 0], x < 2
+    )  # behind the wall at x = 2, -1 <= y <= 1 the first is hidden
     assert own().files == ((here / "a.csv").resolve(),)
     assert preset().files == (
         (here / "indoor_map_anchors.csv").resolve(),  # the user's own of that name
@@ -397,7 +437,9 @@ LINE = [[0, 0], [1, 1]]
 ])  # fmt: skip
 def test_a_bad_wall_file_gives_one_clear_line(content, says, here):
     if content is not None:
-        (here / "w.geojson").write_text(content if isinstance(content, str) else json.dumps(content))
+        (here / "w.geojson").write_text(
+            content if isinstance(content, str) else json.dumps(content)
+        )
     one_line("scenario.walls", "w.geojson", says, walls="w.geojson")
 
 
@@ -462,7 +504,9 @@ def one_line(key, value, says, **changes):
 
 
 def test_arcs_of_the_widest_radius_meet(here):
-    """Half circles that leave nothing of the line between them; a straight waypoint changes nothing."""
+    """Half circles that leave nothing of the line between them; a straight waypoint changes
+    nothing.
+    """
     mine = own(route=[[0, 0], [10, 0], [10, 10], [20, 10]], corner_radius_m=5, dt=0.05)
     points = mine.truth(None)[:, :2]
     assert np.allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.055, atol=1e-5)

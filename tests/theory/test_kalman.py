@@ -1,4 +1,6 @@
-"""EKF and UKF against the exact Kalman filter, against the printed algorithms (errata applied), and missing data."""
+"""EKF and UKF against the exact Kalman filter, against the printed algorithms (errata applied), and
+missing data.
+"""
 
 from dataclasses import dataclass
 
@@ -15,7 +17,9 @@ from aoabench.types import Anchors, BadValue, Batch, Outcome
 
 @dataclass(frozen=True)
 class Linear:
-    """y = H x + e: a measurement model for which every Kalman filter is exact; azimuth and elevation carry y."""
+    """y = H x + e: a measurement model for which every Kalman filter is exact; azimuth and
+    elevation carry y.
+    """
 
     H: tuple
     r: tuple
@@ -61,12 +65,16 @@ def linear_problem(rng, R=5, T=12, m=8):
     H, r = rng.normal(size=(m, 6)), rng.uniform(0.1, 2.0, m)
     y = rng.normal(size=(R, T, m))
     mean, A = rng.normal(size=(R, 6)), rng.normal(size=(6, 6))
-    batch = Batch(y[..., : m // 2], y[..., m // 2 :], ANCHORS, prior_mean=mean, prior_cov=A @ A.T + np.eye(6))
+    batch = Batch(
+        y[..., : m // 2], y[..., m // 2 :], ANCHORS, prior_mean=mean, prior_cov=A @ A.T + np.eye(6)
+    )
     return Linear(tuple(map(tuple, H)), tuple(r)), batch, y
 
 
 def exact_kalman(h, batch, y, i):
-    """The textbook's filter for replication i, in plain loops; missing components are dropped from y."""
+    """The textbook's filter for replication i, in plain loops; missing components are dropped from
+    y.
+    """
     F, Q = ConstantVelocity().matrices(0.5)
     H, r = np.array(h.H), np.array(h.r)
     x, P = batch.prior_mean[i], batch.prior_cov
@@ -83,18 +91,30 @@ def exact_kalman(h, batch, y, i):
     return np.array(means), np.array(covariances)
 
 
-FILTERS = [EKF, UKF, lambda h: UKF(h, lambda_=0.0), lambda h: UKF(h, form="centre"), lambda h: UKF(h, form="augmented")]
+FILTERS = [
+    EKF,
+    UKF,
+    lambda h: UKF(h, lambda_=0.0),
+    lambda h: UKF(h, form="centre"),
+    lambda h: UKF(h, form="augmented"),
+]
 
 
-@pytest.mark.parametrize("make", FILTERS, ids=["ekf", "ukf", "ukf lambda 0", "ukf centre", "ukf augmented"])
+@pytest.mark.parametrize(
+    "make", FILTERS, ids=["ekf", "ukf", "ukf lambda 0", "ukf centre", "ukf augmented"]
+)
 @pytest.mark.parametrize("missing", [False, True])
 def test_linear_model_equals_exact_kalman_filter(make, missing, rng):
-    """A P A^T + Q with A != I (erratum N1), S = C P C^T + R (N3), residual u - c (N4); tolerance 1e-9 relative."""
+    """A P A^T + Q with A != I (erratum N1), S = C P C^T + R (N3), residual u - c (N4); tolerance
+    1e-9 relative.
+    """
     h, batch, y = linear_problem(rng)
     if missing:
         y[rng.random(y.shape) < 0.3] = np.nan
         y[2, 4] = np.nan  # nothing at all
-        batch = Batch(y[..., :4], y[..., 4:], ANCHORS, prior_mean=batch.prior_mean, prior_cov=batch.prior_cov)
+        batch = Batch(
+            y[..., :4], y[..., 4:], ANCHORS, prior_mean=batch.prior_mean, prior_cov=batch.prior_cov
+        )
     estimates = make(h)(batch, Line(), Streams(1, "line", tuple(range(5))))
     for i in range(5):
         mean, covariance = exact_kalman(h, batch, y, i)
@@ -137,14 +157,22 @@ def corrected_algorithm_3(h, x, P, y, r, anchors, lambda_=0.5):
 
 
 @pytest.mark.parametrize(
-    ("make", "slow"), [(EKF, corrected_algorithm_2), (UKF, corrected_algorithm_3)], ids=["ekf", "ukf"]
+    ("make", "slow"),
+    [(EKF, corrected_algorithm_2), (UKF, corrected_algorithm_3)],
+    ids=["ekf", "ukf"],
 )
-@pytest.mark.parametrize("h", [AzEl(sigma_deg=5.0), UnitVector(kappa=100.0)], ids=["azel", "unit vector"])
+@pytest.mark.parametrize(
+    "h", [AzEl(sigma_deg=5.0), UnitVector(kappa=100.0)], ids=["azel", "unit vector"]
+)
 def test_updates_equal_the_printed_algorithms_with_errata(make, slow, h, rng):
     """The small-space form against the printed gain form, tolerance 1e-9."""
     anchors = Anchors(rng.uniform(-5, 5, (1, 4, 3)), np.broadcast_to(np.eye(3), (1, 4, 3, 3)))
     R = 20
-    x = rng.uniform(-1, 1, (R, 3)) + [8, 0, 3]  # off every pole, where deviations about mu and about v_0 are the same
+    x = rng.uniform(-1, 1, (R, 3)) + [
+        8,
+        0,
+        3,
+    ]  # off every pole, where deviations about mu and about v_0 are the same
     A = 0.3 * rng.normal(size=(R, 3, 3))
     P = A @ np.swapaxes(A, 1, 2) + 0.05 * np.eye(3)
     y = h.predict(x + 0.1 * rng.normal(size=(R, 3)), anchors)
@@ -157,7 +185,9 @@ def test_updates_equal_the_printed_algorithms_with_errata(make, slow, h, rng):
 
 
 def test_sigma_points_reproduce_mean_and_covariance(rng):
-    """Errata N5 to N7: 2 n + 1 points around x_{k|k-1}; as printed, chi_2i overwrites points and the sum stops early."""
+    """Errata N5 to N7: 2 n + 1 points around x_{k|k-1}; as printed, chi_2i overwrites points and
+    the sum stops early.
+    """
     A = rng.normal(size=(7, 4, 4))
     P, x = A @ np.swapaxes(A, 1, 2) + np.eye(4), rng.normal(size=(7, 4))
     points, w = sigma_points(x, cholesky(P), 0.5)
@@ -166,11 +196,15 @@ def test_sigma_points_reproduce_mean_and_covariance(rng):
     assert np.allclose(w @ points, x, atol=1e-12)
     d = points - x[:, None]
     assert np.allclose(np.swapaxes(d, 1, 2) @ (w[:, None] * d), P, atol=1e-11)
-    assert np.allclose(sigma_points(x[:, :3], cholesky(P[:, :3, :3]), 0.5)[1], 1 / 7), "lambda 0.5: equal weights"
+    assert np.allclose(sigma_points(x[:, :3], cholesky(P[:, :3, :3]), 0.5)[1], 1 / 7), (
+        "lambda 0.5: equal weights"
+    )
 
 
 def test_printed_sigma_points_lose_mean_and_covariance(rng):
-    """Errata N6, N7: chi_{2i} collides with chi_i for even indices, and mu_k over i = 0..2 n_s misses points."""
+    """Errata N6, N7: chi_{2i} collides with chi_i for even indices, and mu_k over i = 0..2 n_s
+    misses points.
+    """
     n, lambda_ = 3, 0.5
     spread = np.sqrt(n + lambda_) * np.eye(n)
     chi = {0: np.zeros(n)}
@@ -195,8 +229,12 @@ def test_cholesky_equals_numpys_and_marks_the_rest(rng):
 
 
 def test_augmented_and_averaged_forms_agree_where_deviations_are_constant(rng):
-    """Both then match moments of the same additive noise; off the poles they agree to third order of the spread."""
-    anchors = Anchors(np.array([[[0.0, 0, 0], [9, 0, 0], [0, 9, 0]]]), np.broadcast_to(np.eye(3), (1, 3, 3, 3)))
+    """Both then match moments of the same additive noise; off the poles they agree to third order
+    of the spread.
+    """
+    anchors = Anchors(
+        np.array([[[0.0, 0, 0], [9, 0, 0], [0, 9, 0]]]), np.broadcast_to(np.eye(3), (1, 3, 3, 3))
+    )
     h = AzEl(sigma_deg=3.0)
     x, P = np.array([[4.0, 5.0, 2.0]]), 1e-4 * np.eye(3)[None]
     y = h.predict(x + 0.01, anchors)
@@ -212,7 +250,8 @@ def test_forms_of_the_adaptive_ukf_differ_near_a_pole():
     x, P = np.array([[0.3, -0.3, -2.0]]), 0.5 * np.eye(3)[None]
     y = np.array([[-np.pi, -9 * np.pi / 20]])
     means = [
-        UKF(h, form=form).update(x, P, y, np.ones((1, 2)), anchors)[0] for form in ("averaged", "centre", "augmented")
+        UKF(h, form=form).update(x, P, y, np.ones((1, 2)), anchors)[0]
+        for form in ("averaged", "centre", "augmented")
     ]
     assert not np.allclose(means[0], means[1], atol=1e-3)
     assert not np.allclose(means[0], means[2], atol=1e-3)
@@ -237,7 +276,9 @@ def test_a_filter_needs_motion_and_prior(rng):
         EKF(h)(batch, Line(motion=None), Streams(1, "line", (0,)))
 
 
-@pytest.mark.parametrize(("key", "value"), [("lambda_", -0.1), ("lambda_", float("nan")), ("form", "mean")])
+@pytest.mark.parametrize(
+    ("key", "value"), [("lambda_", -0.1), ("lambda_", float("nan")), ("form", "mean")]
+)
 def test_bad_parameters_are_named(key, value):
     with pytest.raises(BadValue, match=key):
         UKF(AzEl(), **{key: value})

@@ -63,20 +63,28 @@ class Moving:
 def batch_of(rng):
     def make(R, B, n, own_anchors, missing):
         A = R if own_anchors else 1
-        anchors = Anchors(rng.uniform(-5, 5, (A, B, 3)), np.linalg.qr(rng.normal(size=(A, B, 3, 3)))[0])
+        anchors = Anchors(
+            rng.uniform(-5, 5, (A, B, 3)), np.linalg.qr(rng.normal(size=(A, B, 3, 3)))[0]
+        )
         angles = AzEl(1.0).predict(rng.normal(size=(R, 7, 3)), anchors).reshape(R, 7, B, 2)
         angles = angles + 0.1 * rng.normal(size=angles.shape)
         if missing:
             angles[rng.random(angles.shape) < 0.3] = np.nan
         return Batch(
-            angles[..., 0], angles[..., 1], anchors, prior_mean=rng.normal(size=(R, n)), prior_cov=np.eye(n) + 0.3
+            angles[..., 0],
+            angles[..., 1],
+            anchors,
+            prior_mean=rng.normal(size=(R, n)),
+            prior_cov=np.eye(n) + 0.3,
         )
 
     return make
 
 
 @pytest.mark.parametrize("h", MODELS, ids=kernels.KINDS)
-@pytest.mark.parametrize("make", [EKF, UKF, lambda h: UKF(h, 0.7, "centre")], ids=["ekf", "ukf", "ukf_centre"])
+@pytest.mark.parametrize(
+    "make", [EKF, UKF, lambda h: UKF(h, 0.7, "centre")], ids=["ekf", "ukf", "ukf_centre"]
+)
 @pytest.mark.parametrize(
     ("R", "B", "n", "own_anchors", "missing"),
     [
@@ -91,7 +99,9 @@ def test_equal_those_in_numpy(h, make, R, B, n, own_anchors, missing, batch_of):
     """Any number of replications, anchors and state dimensions; 1e-9 m after seven steps."""
     batch, f = batch_of(R, B, n, own_anchors, missing), make(h)
     streams = Streams(1, "moving", tuple(range(R)))
-    fast, slow = (replace(f, engine=engine)(batch, Moving(n), streams) for engine in ("auto", "numpy"))
+    fast, slow = (
+        replace(f, engine=engine)(batch, Moving(n), streams) for engine in ("auto", "numpy")
+    )
     assert f.kernel() is not None
     assert np.allclose(fast.position, slow.position, rtol=0, atol=1e-9)
     assert np.allclose(fast.covariance, slow.covariance, rtol=0, atol=1e-9)
@@ -104,7 +114,9 @@ def test_a_replication_that_breaks_fails_alone(make, batch_of):
     prior = batch.prior_mean.copy()
     prior[3] = np.inf
     streams = Streams(1, "moving", tuple(range(70)))
-    found, whole = (make(AzEl(10.0))(b, Moving(3), streams) for b in (replace(batch, prior_mean=prior), batch))
+    found, whole = (
+        make(AzEl(10.0))(b, Moving(3), streams) for b in (replace(batch, prior_mean=prior), batch)
+    )
     assert np.all(found.outcome[3] == Outcome.FAILED)
     others = np.arange(70) != 3
     assert np.array_equal(found.position[others], whole.position[others])
@@ -133,9 +145,13 @@ def test_the_machine_code_is_vectorised(tmp_path):
 
     if not llvm.get_host_cpu_features().get("avx2"):
         pytest.skip("no AVX2")
-    script = "from aoabench.filters import kalman_kernels as K\nprint(*K.ekf.inspect_asm().values())"
+    script = (
+        "from aoabench.filters import kalman_kernels as K\nprint(*K.ekf.inspect_asm().values())"
+    )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
+    )
     arithmetic = r"\bv(?:f?n?m(?:add|sub)\w*|add|sub|mul|div|sqrt)"
     packed = len(re.findall(arithmetic + r"pd\s.*%[yz]mm", done.stdout))
     assert packed >= 0.8 * len(re.findall(arithmetic + r"sd\s", done.stdout))

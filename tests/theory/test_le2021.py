@@ -1,4 +1,6 @@
-"""The study's own statistics: ratios, classes, medians and bias against plain ways, and every printed id."""
+"""The study's own statistics: ratios, classes, medians and bias against plain ways, and every
+printed id.
+"""
 
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -20,16 +22,22 @@ NAMES = ["ls", "ml_arctan", "ml_atan2", "ml_kcorr"]
 
 def cells(*words):
     return compose_cells(
-        ["scenario=bs_grid", "noise=ae_normal", f"estimator=[{','.join(NAMES)}]", "scenario.positions=60", *words]
+        [
+            "scenario=bs_grid",
+            "noise=ae_normal",
+            f"estimator=[{','.join(NAMES)}]",
+            "scenario.positions=60",
+            *words,
+        ]
     )
 
 
 def made_up(rng, R=8, P=60, scale=1.0):
     """Fixes whose error belongs to the position; a tenth diverges, a tenth oscillates."""
     error = scale * rng.uniform(1, 2, size=P) * np.abs(rng.normal(size=(R, P)))
-    outcome = rng.choice([Outcome.OK, Outcome.DIVERGED, Outcome.OSCILLATED], p=[0.8, 0.1, 0.1], size=(R, P)).astype(
-        np.int8
-    )
+    outcome = rng.choice(
+        [Outcome.OK, Outcome.DIVERGED, Outcome.OSCILLATED], p=[0.8, 0.1, 0.1], size=(R, P)
+    ).astype(np.int8)
     iterations = np.where(outcome == Outcome.OSCILLATED, 1000.0, rng.integers(2, 9, size=(R, P)))
     e, nothing = error.astype(np.float32), np.full(error.shape, np.nan)
     return Fixes(e, 0.9 * e, iterations.astype(np.float32), nothing, nothing, outcome)
@@ -46,14 +54,19 @@ def test_accuracy_is_the_plain_root_mean_square_over_the_bound(rng):
         assert rows[name]["ratio"] == pytest.approx(plain / np.sqrt(crb.mean()))
         assert rows[name]["sigma_deg"] == 2.0
         assert (rows[name]["positions"], rows[name]["draws"]) == (60, 8)
-    assert rows["ml_kcorr"]["rmse_of_proposed_is"] == rows["ml_kcorr"]["iterations_of_proposed_are"] == "tie"
+    assert (
+        rows["ml_kcorr"]["rmse_of_proposed_is"]
+        == rows["ml_kcorr"]["iterations_of_proposed_are"]
+        == "tie"
+    )
     assert rows["ls"]["rmse_of_proposed_is"] == "higher"  # its error is a quarter
     assert rows["ls"]["iterations"] != rows["ls"]["iterations"]
     assert rows["ml_arctan"]["iterations"] == pytest.approx(fixes["ml_arctan"].iterations.mean())
 
 
 @pytest.mark.parametrize(
-    ("above", "word"), [((1, 0.1), "lower"), ((-1, 0.1), "higher"), ((0.2, 0.1), "tie"), ((0, 0), "tie")]
+    ("above", "word"),
+    [((1, 0.1), "lower"), ((-1, 0.1), "higher"), ((0.2, 0.1), "tie"), ((0, 0), "tie")],
 )
 def test_standing(above, word):
     assert N.standing(Estimate(*above)) == word
@@ -63,18 +76,25 @@ def test_standard_error_of_a_ratio_of_classes_is_the_bootstraps(rng):
     """Within 15 % of the deviation over 2000 resamplings of the positions (its own error: 2 %)."""
     f = made_up(rng, 20, 300)
     square = f.error_3d_m.astype(float) ** 2
-    sums = [(np.where(m, square, 0).sum(0), m.sum(0)) for m in (f.outcome == Outcome.DIVERGED, f.outcome == Outcome.OK)]
+    sums = [
+        (np.where(m, square, 0).sum(0), m.sum(0))
+        for m in (f.outcome == Outcome.DIVERGED, f.outcome == Outcome.OK)
+    ]
     found = N.over_converged(*sums[0], *sums[1])
     pick = rng.integers(300, size=(2000, 300))
     each = [np.sqrt(s[pick].sum(1) / n[pick].sum(1)) for s, n in sums]
     assert found.se == pytest.approx((each[0] / each[1]).std(), rel=0.15)
     assert found.value == pytest.approx(
-        np.sqrt(square[f.outcome == Outcome.DIVERGED].mean() / square[f.outcome == Outcome.OK].mean())
+        np.sqrt(
+            square[f.outcome == Outcome.DIVERGED].mean() / square[f.outcome == Outcome.OK].mean()
+        )
     )
 
 
 def test_jackknife_of_the_median_covers(rng):
-    """400 studies of 200 positions: 95 % intervals cover the median in 91 to 98 % (a jackknife of few groups is rough)."""
+    """400 studies of 200 positions: 95 % intervals cover the median in 91 to 98 % (a jackknife of
+    few groups is rough).
+    """
     hits = 0
     for _ in range(400):
         error = np.exp(0.5 * rng.normal(size=200))[None] * np.exp(0.2 * rng.normal(size=(5, 200)))
@@ -109,7 +129,10 @@ class Constant:
 def test_bias_of_a_constant_is_everything_and_of_the_estimator_nearly_nothing():
     cell = cells("noise.sigma_deg=1")[0]
     both = SimpleNamespace(
-        scenario=cell.scenario, noise=cell.noise, seed=cell.seed, estimators={"constant": Constant(), **cell.estimators}
+        scenario=cell.scenario,
+        noise=cell.noise,
+        seed=cell.seed,
+        estimators={"constant": Constant(), **cell.estimators},
     )
     assert N.bias(both, "constant", 4).value == pytest.approx(100)
     share = N.bias(both, "ml_kcorr", 40)
@@ -126,7 +149,9 @@ def test_every_printed_id_and_effect_is_found_and_every_figure_draws(rng):
         if item.experiment:
             runs = []
             words = item.scale["quick"][1:]  # fewer cells
-            for cell in compose_cells([f"experiment={item.experiment}", "scenario.positions=60", *words]):
+            for cell in compose_cells(
+                [f"experiment={item.experiment}", "scenario.positions=60", *words]
+            ):
                 runs.append((cell, {name: made_up(rng, 3) for name in cell.estimators}))
             drawn[item.name] = getattr(N, item.name)(runs)
         values = getattr(LE.figures, f"{item.name}_values", None)

@@ -58,9 +58,17 @@ for toa in (True, False):
 
 
 def test_our_count_is_what_the_kernel_multiplies():
-    """The kernel's source, run as plain Python on numbers that count their multiplications and divisions."""
+    """The kernel's source, run as plain Python on numbers that count their multiplications and
+    divisions.
+    """
     environment = {"NUMBA_DISABLE_JIT": "1", "PATH": ""}
-    done = subprocess.run([sys.executable, "-c", COUNTING], capture_output=True, text=True, env=environment, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", COUNTING],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=True,
+    )
     lines = [line.split() for line in done.stdout.splitlines()]
     assert len(lines) == 6
     for method, M, count in lines:
@@ -70,7 +78,17 @@ def test_our_count_is_what_the_kernel_multiplies():
 def test_textbook_count_is_what_dense_loops_multiply():
     """Each product of (17), (18) by its dimensions: rows x columns x inner length."""
     m, n = 12, 9
-    products = [(n, 1, n), (n, n, n), (n, n, n), (n, m, n), (m, m, n), (n, m, m), (n, 1, m), (m, n, n), (n, n, m)]
+    products = [
+        (n, 1, n),
+        (n, n, n),
+        (n, n, n),
+        (n, m, n),
+        (m, m, n),
+        (n, m, m),
+        (n, 1, m),
+        (m, n, n),
+        (n, n, m),
+    ]
     products.remove((m, n, n))  # H P is the transpose of P H^T
     assert N.textbook_count(m, n) == sum(a * b * c for a, b, c in products) + m**3
 
@@ -84,11 +102,23 @@ def made_up(levels, rng, trials=40):
     rows = []
     for kind in ("independent", "common"):
         for sigma in levels:
-            for name, slope, offset in (("ekf_toa_aoa", 1.0, 0.0), ("ekf_aoa", 2.0, 0.0), ("wcg", 0.0, 2.0)):
+            for name, slope, offset in (
+                ("ekf_toa_aoa", 1.0, 0.0),
+                ("ekf_aoa", 2.0, 0.0),
+                ("wcg", 0.0, 2.0),
+            ):
                 for r, e in enumerate(rng.gamma(100, 0.01, trials)):
                     rmse = offset * e + slope * sigma * e
                     rows.append((f"{kind}{sigma}", kind, sigma, name, r, rmse, 0.1 * rmse))
-    columns = ["cell", "noise.an_error", "noise.an_sigma_m", "estimator", "replication", "rmse_3d_m", "rmse_z_m"]
+    columns = [
+        "cell",
+        "noise.an_error",
+        "noise.an_sigma_m",
+        "estimator",
+        "replication",
+        "rmse_3d_m",
+        "rmse_z_m",
+    ]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -105,9 +135,17 @@ def test_crossing_is_found_with_its_interval(rng):
 
 def test_diverged_trials_are_counted_and_not_dropped(rng):
     runs = made_up([0.0, 5.0], rng)
-    lost = (runs["estimator"] == "ekf_aoa") & (runs["noise.an_sigma_m"] == 5.0) & (runs["replication"] < 4)
+    lost = (
+        (runs["estimator"] == "ekf_aoa")
+        & (runs["noise.an_sigma_m"] == 5.0)
+        & (runs["replication"] < 4)
+    )
     runs.loc[lost, "rmse_3d_m"] = 1000.0
-    row = N.fig4(runs).set_index(["an_error", "an_sigma_m", "estimator"]).loc["common", 5.0, "ekf_aoa"]
+    row = (
+        N.fig4(runs)
+        .set_index(["an_error", "an_sigma_m", "estimator"])
+        .loc["common", 5.0, "ekf_aoa"]
+    )
     assert row["diverged"] == pytest.approx(0.1)
     assert row["rmse_3d"] > 300
     assert 5 < row["kept_3d"] < 15
@@ -119,10 +157,23 @@ def errata_runs(rng):
         for gain in ("[]", '["gain"]'):
             for flags in ("[]", '["jacobian"]', '["wrap"]', '["shared"]', '["cross"]'):
                 for name in ("ekf_toa_aoa", "ekf_aoa", "wcg", "wcg_as_printed"):
-                    factor = 1 + ("gain" in gain) + 2 * ("wrap" in flags) * ("ekf" in name) + 3 * ("printed" in name)
+                    factor = (
+                        1
+                        + ("gain" in gain)
+                        + 2 * ("wrap" in flags) * ("ekf" in name)
+                        + 3 * ("printed" in name)
+                    )
                     for r, e in enumerate(rng.gamma(100, 0.01, 5)):
-                        rows.append((f"{sigma}{gain}{flags}", sigma, gain, flags, name, r, factor * e))
-    columns = ["cell", "noise.an_sigma_m", "noise.as_printed", "filter.ekf_toa_aoa.as_printed", "estimator"]
+                        rows.append(
+                            (f"{sigma}{gain}{flags}", sigma, gain, flags, name, r, factor * e)
+                        )
+    columns = [
+        "cell",
+        "noise.an_sigma_m",
+        "noise.as_printed",
+        "filter.ekf_toa_aoa.as_printed",
+        "estimator",
+    ]
     return pd.DataFrame(rows, columns=[*columns, "replication", "rmse_3d_m"])
 
 
@@ -165,7 +216,11 @@ def test_every_printed_id_and_effect_is_found_and_every_figure_draws(rng):
         "errata": N.errata(errata_runs(rng)),
         "nees": pd.DataFrame(nees, columns=["scenario", "an_sigma_m", "estimator", "time_s", "nees", "trials"]),
     }  # fmt: skip
-    found = {key for name, frame in tables.items() for key in getattr(LU.figures, f"{name}_values")(frame)}
+    found = {
+        key
+        for name, frame in tables.items()
+        for key in getattr(LU.figures, f"{name}_values")(frame)
+    }
     assert {e["id"] for e in LU.printed} <= found
     assert {e["effect"]["id"] for e in LU.errata if "effect" in e} <= found
     for item in LU.items:

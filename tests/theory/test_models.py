@@ -1,4 +1,6 @@
-"""Measurement models: Jacobians against finite differences, likelihoods against scipy, residuals, poles."""
+"""Measurement models: Jacobians against finite differences, likelihoods against scipy, residuals,
+poles.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +24,9 @@ MODELS = [
 
 
 def make_anchors(rng, B=4):
-    return Anchors(rng.uniform(-5, 5, (1, B, 3)), np.stack([euler(rng.normal(size=3)) for _ in range(B)])[None])
+    return Anchors(
+        rng.uniform(-5, 5, (1, B, 3)), np.stack([euler(rng.normal(size=3)) for _ in range(B)])[None]
+    )
 
 
 def make_batch(rng, anchors, R=6, T=3):
@@ -35,7 +39,9 @@ def make_batch(rng, anchors, R=6, T=3):
 @pytest.mark.parametrize("h", MODELS, ids=lambda h: type(h).__name__)
 @pytest.mark.parametrize("n", [3, 6])
 def test_jacobian_equals_finite_differences(h, n, rng):
-    """Central differences, step 1e-6 m: agreement to 1e-6; the state may be longer than a position (erratum N2)."""
+    """Central differences, step 1e-6 m: agreement to 1e-6; the state may be longer than a position
+    (erratum N2).
+    """
     anchors = make_anchors(rng)
     x = rng.uniform(-4, 4, (200, n))
     J = h.jacobian(x, anchors)
@@ -61,7 +67,9 @@ def test_functions_broadcast_over_points(h, rng):
         assert np.allclose(h.jacobian(x, anchors)[:, s], h.jacobian(one, anchors), atol=1e-13)
         many = np.broadcast_to(h.covariance(x, anchors, r[:, 0]), h.predict(x, anchors).shape)
         assert np.allclose(many[:, s], h.covariance(one, anchors, r[:, 0]))
-        assert np.allclose(h.loglik(x, anchors, y[:, 0], r[:, 0])[:, s], h.loglik(one, anchors, y[:, 0], r[:, 0]))
+        assert np.allclose(
+            h.loglik(x, anchors, y[:, 0], r[:, 0])[:, s], h.loglik(one, anchors, y[:, 0], r[:, 0])
+        )
 
 
 def test_directions_use_the_anchors_rotation(rng):
@@ -69,7 +77,9 @@ def test_directions_use_the_anchors_rotation(rng):
     position, R = np.array([[[1.0, 2.0, 3.0]]]), facing([[1.0, 0.0, 0.0]])[None]
     x = np.array([[4.0, 2.0, 3.0]])
     assert np.allclose(UnitVector().predict(x, Anchors(position, R)), [[0, 0, 1]], atol=1e-15)
-    assert np.allclose(UnitVector().predict(x, Anchors(position, np.eye(3)[None, None])), [[1, 0, 0]], atol=1e-15)
+    assert np.allclose(
+        UnitVector().predict(x, Anchors(position, np.eye(3)[None, None])), [[1, 0, 0]], atol=1e-15
+    )
 
 
 def test_vmf_loglik_equals_scipy(rng):
@@ -80,7 +90,10 @@ def test_vmf_loglik_equals_scipy(rng):
     x = rng.uniform(-4, 4, (6, 3))
     mean = h.predict(x, anchors).reshape(6, 2, 3)
     u = to_unit(batch.azimuth, batch.elevation)[:, 0]
-    expected = [sum(stats.vonmises_fisher(mean[i, j], 12.0).logpdf(u[i, j]) for j in range(2)) for i in range(6)]
+    expected = [
+        sum(stats.vonmises_fisher(mean[i, j], 12.0).logpdf(u[i, j]) for j in range(2))
+        for i in range(6)
+    ]
     assert np.allclose(h.loglik(x, anchors, y[:, 0], r[:, 0]), expected, rtol=1e-10)
 
 
@@ -96,7 +109,9 @@ def test_azel_loglik_equals_scipy_on_wrapped_residuals(rng):
     assert np.allclose(h.loglik(x, anchors, y[:, 0], r[:, 0]), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("h", [AzEl(sigma_deg=9.0), UnitVector(kappa=30.0)], ids=lambda h: type(h).__name__)
+@pytest.mark.parametrize(
+    "h", [AzEl(sigma_deg=9.0), UnitVector(kappa=30.0)], ids=lambda h: type(h).__name__
+)
 def test_a_missing_measurement_is_left_out_of_the_likelihood(h, rng):
     anchors = make_anchors(rng, 3)
     batch = make_batch(rng, anchors)
@@ -106,7 +121,9 @@ def test_a_missing_measurement_is_left_out_of_the_likelihood(h, rng):
     less = Batch(batch.azimuth[..., [0, 2]], batch.elevation[..., [0, 2]], fewer)
     x = rng.uniform(-4, 4, (6, 3))
     (y, r), (y2, r2) = h.observe(batch), h.observe(less)
-    assert np.allclose(h.loglik(x, anchors, y[:, 0], r[:, 0]), h.loglik(x, fewer, y2[:, 0], r2[:, 0]), rtol=1e-12)
+    assert np.allclose(
+        h.loglik(x, anchors, y[:, 0], r[:, 0]), h.loglik(x, fewer, y2[:, 0], r2[:, 0]), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("kappa", [1e-6, 1.0, 1e8])
@@ -115,7 +132,9 @@ def test_vmf_loglik_neither_overflows_nor_loses_differences(kappa, rng):
     h = UnitVector(kappa=kappa)
     y, r = h.observe(make_batch(rng, anchors))
     with np.errstate(all="raise", under="ignore"):
-        assert np.all(np.isfinite(h.loglik(rng.uniform(-4, 4, (6, 50, 3)), anchors, y[:, 0], r[:, 0])))
+        assert np.all(
+            np.isfinite(h.loglik(rng.uniform(-4, 4, (6, 50, 3)), anchors, y[:, 0], r[:, 0]))
+        )
 
 
 def test_azimuth_residual_wraps_and_elevation_does_not():
@@ -150,7 +169,9 @@ def test_fitted_deviations_printed_and_own():
         assert np.allclose(np.rad2deg(AzElFitted(noise=noise).sigmas()), [printed, 10])
         assert np.allclose(AzElFitted(noise=noise, fit="own").sigmas(), noise.fitted())
     elsewhere = FlippedAngles(5.0)
-    assert np.allclose(AzElFitted(noise=elsewhere).sigmas(), elsewhere.fitted()), "nothing printed at 5 deg"
+    assert np.allclose(AzElFitted(noise=elsewhere).sigmas(), elsewhere.fitted()), (
+        "nothing printed at 5 deg"
+    )
 
 
 @pytest.mark.parametrize("h", [AzEl(), UnitVector()], ids=lambda h: type(h).__name__)

@@ -1,4 +1,6 @@
-"""Nurminen et al. 2018: Table I against quadrature, Figure 2's exact posterior, layout, third argument, errata."""
+"""Nurminen et al. 2018: Table I against quadrature, Figure 2's exact posterior, layout, third
+argument, errata.
+"""
 
 from pathlib import Path
 
@@ -20,11 +22,13 @@ STUDY = study.load("nurminen2018")
 SIGMA = np.deg2rad(10)
 
 
-# --- Table I ----------------------------------------------------------------------------------------------------------
+# --- Table I --------------------------------------------------------------------------------------
 
 
 def expected_logliks(data: str) -> np.ndarray:
-    """E[log likelihood] of the four models by quadrature over elevation, angle and turn: independent of the samplers."""
+    """E[log likelihood] of the four models by quadrature over elevation, angle and turn:
+    independent of the samplers.
+    """
     fitted = np.deg2rad([18.0 if data == "model1" else 21.0, 10.0])
     kappa = 1 / SIGMA**2
     sine, w_sine = np.polynomial.legendre.leggauss(300)
@@ -33,7 +37,9 @@ def expected_logliks(data: str) -> np.ndarray:
 
     def second_moments(b):
         if data == "model1":
-            return d.flipped_azimuth_std(b, SIGMA) ** 2, d.flipped_elevation_moments(b, SIGMA)[1] ** 2
+            return d.flipped_azimuth_std(b, SIGMA) ** 2, d.flipped_elevation_moments(b, SIGMA)[
+                1
+            ] ** 2
         cosines, turns, weights = vmf_nodes()
         u = around(b, cosines, turns)
         a, e = g.to_azel(u[..., 0], u[..., 1], u[..., 2])
@@ -48,7 +54,9 @@ def expected_logliks(data: str) -> np.ndarray:
             return np.sum(weights * (value + 0.5 * np.log(u[..., 0] ** 2 + u[..., 1] ** 2)))
         t, w = np.polynomial.hermite_e.hermegauss(80)
         w = w / w.sum()
-        s = (np.arange(4000) + 0.5) / 4000 * 16 - 8  # trapezoid for the elevation: log cos has a singularity
+        s = (
+            np.arange(4000) + 0.5
+        ) / 4000 * 16 - 8  # trapezoid for the elevation: log cos has a singularity
         ws = np.exp(-0.5 * s**2)
         ws /= ws.sum()
         a, e = SIGMA * t[:, None], b + SIGMA * s[None]
@@ -79,22 +87,31 @@ def around(b, cosines, turns):
     sine = np.sqrt(1 - cosines**2)
     north, east = sine * np.cos(turns), sine * np.sin(turns)
     c = cosines + 0 * turns
-    return np.stack([c * np.cos(b) - north * np.sin(b), east, c * np.sin(b) + north * np.cos(b)], axis=-1)
+    return np.stack(
+        [c * np.cos(b) - north * np.sin(b), east, c * np.sin(b) + north * np.cos(b)], axis=-1
+    )
 
 
 @pytest.mark.parametrize("data", ["model1", "model2"])
 def test_table1_agrees_with_quadrature(data):
-    """Four shares per data model within 3 standard errors of 1e6 samples: false alarm 2e-2 in all (fixed seed)."""
+    """Four shares per data model within 3 standard errors of 1e6 samples: false alarm 2e-2 in all
+    (fixed seed).
+    """
     L = expected_logliks(data)
     exact = np.exp(L - L.max())
     exact /= exact.sum()
     frame = STUDY.numbers.table1("quick")
     rows = frame[(frame["data"] == data) & (frame["quantity"] == "share")]
-    assert np.all(np.abs(rows["value"].to_numpy() - exact) < 3.0 * rows["se"].to_numpy()), (exact, rows)
+    assert np.all(np.abs(rows["value"].to_numpy() - exact) < 3.0 * rows["se"].to_numpy()), (
+        exact,
+        rows,
+    )
 
 
 def test_elevation_limits_must_be_plus_minus_half_pi():
-    """Erratum N9: over [0, pi] of the equator-based elevation, as (10), (11) print, half of the mass is missing."""
+    """Erratum N9: over [0, pi] of the equator-based elevation, as (10), (11) print, half of the
+    mass is missing.
+    """
     sine, w = np.polynomial.legendre.leggauss(200)
     density = 1 / (4 * np.pi)  # uniform directions per steradian, times cos(elevation) per radian
     full = 2 * np.pi * density * w.sum()
@@ -104,22 +121,30 @@ def test_elevation_limits_must_be_plus_minus_half_pi():
     assert printed == pytest.approx(0.5, abs=1e-3)
 
 
-# --- Figure 2 ---------------------------------------------------------------------------------------------------------
+# --- Figure 2 -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "h",
-    [UnitVector(kappa=(36 / np.pi) ** 2), AzEl(sigma_deg=5.0), AzElAdaptive(noise=FlippedAngles(5.0))],
+    [
+        UnitVector(kappa=(36 / np.pi) ** 2),
+        AzEl(sigma_deg=5.0),
+        AzElAdaptive(noise=FlippedAngles(5.0)),
+    ],
     ids=["vmf", "ae", "adaptive"],
 )
 def test_exact_posterior_converges_under_refinement(h):
-    """Doubling the nodes changes the mean by less than 1 mm (adaptive: the table's steps are of one degree, 5 mm)."""
+    """Doubling the nodes changes the mean by less than 1 mm (adaptive: the table's steps are of one
+    degree, 5 mm).
+    """
     coarse, fine = (STUDY.numbers.exact_mean(h, nodes) for nodes in (120, 240))
     assert np.allclose(coarse, fine, atol=5e-3 if isinstance(h, AzElAdaptive) else 1e-3)
 
 
 def test_exact_posterior_equals_importance_sampling():
-    """Self-normalised sampling from the prior, 4e6 draws: each coordinate within 5 standard errors, 6e-6."""
+    """Self-normalised sampling from the prior, 4e6 draws: each coordinate within 5 standard errors,
+    6e-6.
+    """
     h = UnitVector(kappa=(36 / np.pi) ** 2)
     y, r = STUDY.numbers.measurement_of(h)
     rng = np.random.default_rng(4)
@@ -135,14 +160,16 @@ def test_exact_posterior_equals_importance_sampling():
 
 
 def test_earlier_versions_elevation_is_a_colatitude():
-    """Erratum N10: -19 pi / 20 there can only be the colatitude +19 pi / 20, the same direction as -9 pi / 20 here."""
+    """Erratum N10: -19 pi / 20 there can only be the colatitude +19 pi / 20, the same direction as
+    -9 pi / 20 here.
+    """
     colatitude = 19 * np.pi / 20
     z = np.cos(colatitude)
     assert g.to_unit(-np.pi, -9 * np.pi / 20)[2] == pytest.approx(z)
     assert np.pi / 2 - colatitude == pytest.approx(-9 * np.pi / 20)
 
 
-# --- track and layout -------------------------------------------------------------------------------------------------
+# --- track and layout -----------------------------------------------------------------------------
 
 
 def cell(scenario="square_track", noise="vmf", *more):
@@ -160,7 +187,9 @@ POLE_LINES = {
 
 @pytest.mark.parametrize("scenario", POLE_LINES)
 def test_which_sides_are_pole_lines_of_which_anchors(scenario):
-    """Reading and erratum N11: "elevation zero" means at the pole; each variant has the poles that it says."""
+    """Reading and erratum N11: "elevation zero" means at the pole; each variant has the poles that
+    it says.
+    """
     s = cell(scenario).scenario
     for side in range(4):
         x = s.at(np.array([5.0 * side + 1.7, 5.0 * side + 3.1]))[None]
@@ -192,7 +221,9 @@ def test_step_lengths_follow_equation_12(track):
     mean, sigma = track.step_length()
     n = len(lengths)
     assert n > 10_000
-    assert abs(lengths.mean() - mean) < 4 * sigma / np.sqrt(n) + 2e-3, "tracks that turn back are left out"
+    assert abs(lengths.mean() - mean) < 4 * sigma / np.sqrt(n) + 2e-3, (
+        "tracks that turn back are left out"
+    )
 
 
 def test_prior_mean_is_drawn_once_per_replication_around_the_true_start(track):
@@ -202,11 +233,13 @@ def test_prior_mean_is_drawn_once_per_replication_around_the_true_start(track):
     assert np.all(np.abs(draws.var(axis=0) - 1) < 4 * np.sqrt(2 / 4000))
 
 
-# --- the third argument -----------------------------------------------------------------------------------------------
+# --- the third argument ---------------------------------------------------------------------------
 
 
 def test_turning_anchor_frames_leaves_vmf_filters_alone_and_changes_ae_filters():
-    """Paired over 512 replications: VMF changes stay within 4 standard errors (4 tests, 3e-4), AE's exceed 10."""
+    """Paired over 512 replications: VMF changes stay within 4 standard errors (4 tests, 3e-4), AE's
+    exceed 10.
+    """
     names = [
         "ekf_ae_nominal",
         "ekf_ae_fitted",
@@ -219,7 +252,9 @@ def test_turning_anchor_frames_leaves_vmf_filters_alone_and_changes_ae_filters()
     ]
     rmse = {}
     for turn in ("[0,0,0]", "[30,40,50]", "[90,0,0]"):
-        c = compose_cells(["noise=vmf", f"filter=[{','.join(names)}]", f"scenario.anchors.frame_rpy_deg={turn}"])
+        c = compose_cells(
+            ["noise=vmf", f"filter=[{','.join(names)}]", f"scenario.anchors.frame_rpy_deg={turn}"]
+        )
         assert len(c) == 1
         rows = run_block(c[0].scenario, c[0].noise, c[0].estimators, 1, 0, 512)
         rmse[turn] = {name: block["rows"]["rmse_3d_m"] for name, block in rows.items()}
@@ -230,11 +265,14 @@ def test_turning_anchor_frames_leaves_vmf_filters_alone_and_changes_ae_filters()
                 assert abs(change.value) < 4 * change.se, (name, turn, change)
     for name in names:
         if not name.endswith("vmf"):
-            changes = [paired(rmse[t][name], rmse["[0,0,0]"][name]).percent for t in ("[30,40,50]", "[90,0,0]")]
+            changes = [
+                paired(rmse[t][name], rmse["[0,0,0]"][name]).percent
+                for t in ("[30,40,50]", "[90,0,0]")
+            ]
             assert max(abs(c.value) / c.se for c in changes) > 10, name
 
 
-# --- errata -----------------------------------------------------------------------------------------------------------
+# --- errata ---------------------------------------------------------------------------------------
 
 
 def test_every_erratum_names_a_test_that_exists_and_has_an_id_of_its_own():

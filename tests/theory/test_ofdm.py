@@ -1,4 +1,6 @@
-"""Path loss, RSS, both bounds, clocks, shadowing and access nodes' errors against hand numbers and samples."""
+"""Path loss, RSS, both bounds, clocks, shadowing and access nodes' errors against hand numbers and
+samples.
+"""
 
 from types import SimpleNamespace
 
@@ -14,7 +16,9 @@ NOISE = OfdmCrlb()
 
 
 def scenario(B=5):
-    position = np.array([[[10.0 * np.cos(t), 10.0 * np.sin(t), 3.0] for t in np.linspace(0.3, 5.9, B)]])
+    position = np.array(
+        [[[10.0 * np.cos(t), 10.0 * np.sin(t), 3.0] for t in np.linspace(0.3, 5.9, B)]]
+    )
     turn = np.linspace(0.3, 5.9, B) + np.pi  # broadside towards the middle
     c, s, o, i = np.cos(turn), np.sin(turn), np.zeros(B), np.ones(B)
     R = np.stack([np.stack(r, -1) for r in ((c, s, o), (-s, c, o), (o, o, i))], axis=-2)
@@ -22,7 +26,9 @@ def scenario(B=5):
 
 
 def test_path_loss_and_rss_by_hand():
-    """At 10 m and 39 GHz: 32.4 + 17.3 + 20 log10 39 = 81.521 dB, so 27 - 81.521 + 20 = -34.521 dBm [(1)]."""
+    """At 10 m and 39 GHz: 32.4 + 17.3 + 20 log10 39 = 81.521 dB, so 27 - 81.521 + 20 = -34.521 dBm
+    [(1)].
+    """
     assert NOISE.path_loss(10.0) == pytest.approx(32.4 + 17.3 + 31.8213, abs=1e-4)
     assert NOISE.rss(10.0) == pytest.approx(-34.5213, abs=1e-4)
     assert NOISE.rss(10.0, 3.0) == pytest.approx(-31.5213, abs=1e-4)
@@ -40,7 +46,9 @@ def test_time_bound_by_hand():
 
 
 def test_angle_bound_by_hand():
-    """L = 10, element's signal to noise 10^3: 6 / (10 x 99 x 1000 x pi^2) = 6.141e-7 rad^2, 0.0449 deg at broadside [(8)]."""
+    """L = 10, element's signal to noise 10^3: 6 / (10 x 99 x 1000 x pi^2) = 6.141e-7 rad^2, 0.0449
+    deg at broadside [(8)].
+    """
     rss = NOISE.noise_dbm + NOISE.array_gain_db + 30.0
     assert np.rad2deg(NOISE.angle_sigma(rss, 0.0)) == pytest.approx(0.04490, abs=1e-5)
     assert NOISE.angle_sigma(rss, np.pi / 3) == pytest.approx(2 * NOISE.angle_sigma(rss, 0.0))
@@ -55,7 +63,9 @@ def test_gain_as_printed_counts_twice():
 
 
 def test_samples_have_the_stated_deviations():
-    """Residuals over stated deviations are standard normal: KS with a false-alarm rate of 1e-4 each."""
+    """Residuals over stated deviations are standard normal: KS with a false-alarm rate of 1e-4
+    each.
+    """
     world, rng = scenario(), np.random.default_rng(5)
     truth = rng.uniform(-4, 4, (4000, 3)) * [1, 1, 0.1]
     m = NOISE.sample(rng, world, truth)
@@ -79,7 +89,9 @@ def test_shadowing_is_common_to_the_anchors_and_correlated_along_the_way():
     drawn = np.array([NOISE.shadowing(rng, truth) for _ in range(4000)])
     assert drawn.std() == pytest.approx(3.0, rel=0.03)
     correlation = np.corrcoef(drawn[:, 0], drawn[:, 50])[0, 1]
-    assert correlation == pytest.approx(np.exp(-5.0 / 10.0), abs=4 * (1 - np.exp(-1.0)) / np.sqrt(4000))
+    assert correlation == pytest.approx(
+        np.exp(-5.0 / 10.0), abs=4 * (1 - np.exp(-1.0)) / np.sqrt(4000)
+    )
     m = NOISE.sample(rng, world, truth)
     d = np.linalg.norm(truth[:, None] - world.known_anchors.position, axis=-1)
     fade = m.rssi - NOISE.rss(d)
@@ -90,15 +102,23 @@ def test_shadowing_is_common_to_the_anchors_and_correlated_along_the_way():
 
 @pytest.mark.parametrize("error", ["independent", "common"])
 def test_access_nodes_errors(error):
-    """Deviations sigma, sigma, sigma / beta [(10)], within 4 standard errors of 4000 draws; common is one for all."""
-    noise, rng, world = OfdmCrlb(an_sigma_m=2.0, an_error=error), np.random.default_rng(4), scenario()
+    """Deviations sigma, sigma, sigma / beta [(10)], within 4 standard errors of 4000 draws; common
+    is one for all.
+    """
+    noise, rng, world = (
+        OfdmCrlb(an_sigma_m=2.0, an_error=error),
+        np.random.default_rng(4),
+        scenario(),
+    )
     known = [noise.known_anchors(rng, world) for _ in range(4000)]
     e = np.concatenate([k.position for k in known]) - world.known_anchors.position
     spread = e.std(axis=0)
     assert np.allclose(spread, [2.0, 2.0, 0.2], rtol=4 / np.sqrt(8000))
     assert np.allclose(known[0].position_sigma, [2.0, 2.0, 0.2])
     together = np.corrcoef(e[:, 0, 0], e[:, 1, 0])[0, 1]
-    assert together == pytest.approx(1.0) if error == "common" else abs(together) < 4 / np.sqrt(4000)
+    assert (
+        together == pytest.approx(1.0) if error == "common" else abs(together) < 4 / np.sqrt(4000)
+    )
     exact = OfdmCrlb().known_anchors(rng, world)
     assert np.array_equal(exact.position, world.known_anchors.position)
 

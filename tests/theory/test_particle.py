@@ -1,4 +1,6 @@
-"""The particle filter against the exact posterior, the exact Kalman filter, and the arithmetic of resampling."""
+"""The particle filter against the exact posterior, the exact Kalman filter, and the arithmetic of
+resampling.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ STUDY = study.load("nurminen2018")
 ORIGIN = Anchors(np.zeros((1, 1, 3)), np.eye(3)[None, None])
 
 
-# --- convergence ------------------------------------------------------------------------------------------------------
+# --- convergence ----------------------------------------------------------------------------------
 
 
 class OneUpdate:
@@ -40,18 +42,26 @@ def one_update(h, particles, seed):
         prior_mean=f["mean"][None],
         prior_cov=f["sigma_m"] ** 2 * np.eye(3),
     )
-    return ParticleFilter(h, particles)(batch, OneUpdate(), Streams(seed, "one update", (0,))).position[0, 0]
+    return ParticleFilter(h, particles)(
+        batch, OneUpdate(), Streams(seed, "one update", (0,))
+    ).position[0, 0]
 
 
-@pytest.mark.parametrize("h", [UnitVector(kappa=(36 / np.pi) ** 2), AzEl(sigma_deg=5.0)], ids=["vmf", "ae"])
+@pytest.mark.parametrize(
+    "h", [UnitVector(kappa=(36 / np.pi) ** 2), AzEl(sigma_deg=5.0)], ids=["vmf", "ae"]
+)
 def test_converges_to_the_exact_posterior_at_the_rate_of_monte_carlo(h):
-    """Error against Figure 2's exact mean falls as N^-1/2 from N = 300 to 300 000: slope -0.5 within 0.1.
+    """Error against Figure 2's exact mean falls as N^-1/2 from N = 300 to 300 000: slope -0.5
+    within 0.1.
 
     Each point is the root mean square of 40 runs, so the slope over three decades scatters by 0.02.
     """
     exact = STUDY.numbers.exact_mean(h, 200)
     sizes = np.array([300, 3_000, 30_000, 300_000])
-    rms = [np.sqrt(np.mean([np.sum((one_update(h, n, s) - exact) ** 2) for s in range(40)])) for n in sizes]
+    rms = [
+        np.sqrt(np.mean([np.sum((one_update(h, n, s) - exact) ** 2) for s in range(40)]))
+        for n in sizes
+    ]
     slope = np.polyfit(np.log(sizes), np.log(rms), 1)[0]
     assert slope == pytest.approx(-0.5, abs=0.1)
     assert rms[-1] < 0.02
@@ -62,11 +72,15 @@ class LinearLikelihood(Linear):
 
     def loglik(self, x, anchors, y, quality):
         d = y[:, None] - self.predict(x, anchors)
-        return (-0.5 * (d**2 / quality[:, None] + np.log(2 * np.pi * quality[:, None]))).sum(axis=-1)
+        return (-0.5 * (d**2 / quality[:, None] + np.log(2 * np.pi * quality[:, None]))).sum(
+            axis=-1
+        )
 
 
 def test_linear_gaussian_model_equals_the_kalman_filter(rng):
-    """200 000 particles, 6 dimensions, 8 steps: means within 0.05 posterior deviations, deviations within 5 %."""
+    """200 000 particles, 6 dimensions, 8 steps: means within 0.05 posterior deviations, deviations
+    within 5 %.
+    """
     H, r = rng.normal(size=(2, 6)), (1.0, 2.0)
     h = LinearLikelihood(tuple(map(tuple, H)), r)
     y = rng.normal(size=(1, 8, 2))
@@ -80,14 +94,15 @@ def test_linear_gaussian_model_equals_the_kalman_filter(rng):
     assert isinstance(Line().motion, ConstantVelocity)
 
 
-# --- resampling -------------------------------------------------------------------------------------------------------
+# --- resampling -----------------------------------------------------------------------------------
 
 
 def test_resampling_is_unbiased():
     """Each particle's mean number of children is N w_i, over 1e5 draws of 20 particles.
 
-    A count is floor(N w_i) or one more, so its variance is frac (1 - frac); neighbours are correlated, so each number
-    is judged by itself: z within 5 (20 numbers, 1e-5). The chi-square test follows below.
+    A count is floor(N w_i) or one more, so its variance is frac (1 - frac); neighbours are
+    correlated, so each number is judged by itself: z within 5 (20 numbers, 1e-5). The chi-square
+    test follows below.
     """
     rng = np.random.default_rng(12)
     w = rng.gamma(0.7, size=20)
@@ -103,11 +118,18 @@ def test_resampling_is_unbiased():
 
 
 def test_ancestors_by_chi_square():
-    """One ancestor drawn at random from each of 1e5 resamplings is distributed as w: chi-square, false alarm 1e-4."""
+    """One ancestor drawn at random from each of 1e5 resamplings is distributed as w: chi-square,
+    false alarm 1e-4.
+    """
     rng = np.random.default_rng(13)
     w = rng.gamma(1.0, size=30)
     w /= w.sum()
-    picked = np.array([systematic(w, turn)[j] for turn, j in zip(rng.random(100_000), rng.integers(0, 30, 100_000))])
+    picked = np.array(
+        [
+            systematic(w, turn)[j]
+            for turn, j in zip(rng.random(100_000), rng.integers(0, 30, 100_000))
+        ]
+    )
     assert stats.chisquare(np.bincount(picked, minlength=30), 100_000 * w).pvalue > 1e-4
 
 
@@ -127,7 +149,7 @@ def test_equal_weights_keep_every_particle():
         assert np.array_equal(systematic(np.full(1000, 1e-3), turn), np.arange(1000))
 
 
-# --- weights ----------------------------------------------------------------------------------------------------------
+# --- weights --------------------------------------------------------------------------------------
 
 
 def test_weights_neither_overflow_nor_underflow():
@@ -169,7 +191,9 @@ def track_batch(track, noise_seed=5, R=2):
 
 @pytest.mark.parametrize("h", [UnitVector(), AzEl()], ids=["vmf", "ae"])
 def test_an_anchor_without_a_measurement_is_not_used(h, track):
-    """The filter with NaN from two anchors equals, bit for bit, the filter that never heard of them."""
+    """The filter with NaN from two anchors equals, bit for bit, the filter that never heard of
+    them.
+    """
     from dataclasses import replace
 
     _, batch = track_batch(track)
@@ -200,7 +224,9 @@ def test_a_step_without_any_measurement_only_moves_the_particles(track):
 
 def test_huge_kappa_and_few_particles_give_positions(track):
     _, batch = track_batch(track)
-    estimates = ParticleFilter(UnitVector(kappa=1e6), 50)(batch, track, Streams(1, "square_track", (0, 1)))
+    estimates = ParticleFilter(UnitVector(kappa=1e6), 50)(
+        batch, track, Streams(1, "square_track", (0, 1))
+    )
     assert np.all(np.isfinite(estimates.position))
 
 
@@ -215,7 +241,8 @@ def test_all_particle_filters_of_a_replication_share_their_noise(track):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("particles", 0), ("particles", 2.5), ("resample_below", -0.1), ("resample_below", 1.1)]
+    ("key", "value"),
+    [("particles", 0), ("particles", 2.5), ("resample_below", -0.1), ("resample_below", 1.1)],
 )
 def test_bad_parameters_are_named(key, value):
     with pytest.raises(BadValue, match=key):

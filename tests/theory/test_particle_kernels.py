@@ -1,5 +1,5 @@
-"""The compiled particle filter: polynomials, random numbers, likelihoods, resampling and whole laps against slow double
-precision; the machine code that it became."""
+"""The compiled particle filter: polynomials, random numbers, likelihoods, resampling and whole laps
+against slow double precision; the machine code that it became."""
 
 import ast
 import os
@@ -51,7 +51,7 @@ def spaced(low, high, n=1_000_003):
     return np.linspace(low, high, n, dtype=np.float32)
 
 
-# --- polynomials ------------------------------------------------------------------------------------------------------
+# --- polynomials ----------------------------------------------------------------------------------
 
 
 def test_arctan_over_its_whole_range():
@@ -70,7 +70,9 @@ def test_exponential_over_its_whole_range():
 
 
 def test_logarithm_over_its_whole_range():
-    x = np.concatenate([spaced(2.0**-33, 1), np.geomspace(1e-12, 1e14, 1_000_003).astype(np.float32)])
+    x = np.concatenate(
+        [spaced(2.0**-33, 1), np.geomspace(1e-12, 1e14, 1_000_003).astype(np.float32)]
+    )
     exact = np.log(x.astype(float))
     error = np.abs(single(K.logarithm, x) - exact)
     assert np.all(error <= 2e-7 * np.maximum(np.abs(exact), 1))
@@ -78,7 +80,7 @@ def test_logarithm_over_its_whole_range():
     assert np.allclose(single(K.logarithm, near), np.log(near.astype(float)), rtol=4e-7, atol=0)
 
 
-# --- random numbers ---------------------------------------------------------------------------------------------------
+# --- random numbers -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -86,7 +88,11 @@ def test_logarithm_over_its_whole_range():
     [
         ((0,) * 4, (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),
         ((2**32 - 1,) * 4, (2**32 - 1,) * 2, (0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD)),
-        ((0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344), KEY, (0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1)),
+        (
+            (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344),
+            KEY,
+            (0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1),
+        ),
     ],
 )
 def test_philox_gives_the_published_words(counter, key, words):
@@ -95,7 +101,8 @@ def test_philox_gives_the_published_words(counter, key, words):
 
 
 def slow_normals(n, step, replication, key):
-    """Philox and Box-Muller in NumPy and double precision: normals (3, n), and the radius behind each.
+    """Philox and Box-Muller in NumPy and double precision: normals (3, n), and the radius behind
+    each.
 
     Three counters make the three normals of four particles, a quarter of a tile apart.
     """
@@ -109,7 +116,9 @@ def slow_normals(n, step, replication, key):
     a, b, d, e = (w.astype(float) for w in c)
     r, r2 = (np.sqrt(-2 * np.log((w + 0.5) / 2.0**32)) for w in (a, d))
     turn, turn2 = (2 * np.pi * w / 2.0**32 - np.pi / 4 for w in (b, e))
-    found = np.stack([r * np.sin(turn), r * np.cos(turn), r2 * np.sin(turn2), r2 * np.cos(turn2)], axis=-1)
+    found = np.stack(
+        [r * np.sin(turn), r * np.cos(turn), r2 * np.sin(turn2), r2 * np.cos(turn2)], axis=-1
+    )
 
     def placed(four):  # (tile, particle in its quarter, quarter, component)
         return np.moveaxis(four.reshape(-1, K.QUARTER, 4, 3), 1, 2).reshape(n, 3).T
@@ -136,15 +145,30 @@ def test_ten_million_normals():
     K.normals(planes, 1, 5, *KEY)
     z = planes.ravel().astype(float)
     assert stats.kstest(z, "norm").pvalue > 1e-4
-    for power, expected, variance in [(1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96), (5, 0, 945), (6, 15, 10170)]:
+    for power, expected, variance in [
+        (1, 0, 1),
+        (2, 1, 2),
+        (3, 0, 15),
+        (4, 3, 96),
+        (5, 0, 945),
+        (6, 15, 10170),
+    ]:
         assert abs(np.mean(z**power) - expected) < 3.9 * np.sqrt(variance / len(z)), power
     for beyond in (3, 4, 5):  # tails
         expected = len(z) * 2 * stats.norm.sf(beyond)
-        assert stats.binomtest(int((np.abs(z) > beyond).sum()), len(z), expected / len(z)).pvalue > 1e-4
+        assert (
+            stats.binomtest(int((np.abs(z) > beyond).sum()), len(z), expected / len(z)).pvalue
+            > 1e-4
+        )
     other, later = np.empty_like(planes), np.empty_like(planes)
     K.normals(later, 2, 5, *KEY)
     K.normals(other, 1, 6, *KEY)
-    pairs = [(planes[0], planes[1]), (planes[0], planes[2]), (planes[1], planes[2]), (planes[0], later[0])]
+    pairs = [
+        (planes[0], planes[1]),
+        (planes[0], planes[2]),
+        (planes[1], planes[2]),
+        (planes[0], later[0]),
+    ]
     pairs += [(planes[0], other[0]), (planes[0, :-1], planes[0, 1:])]
     pairs += [(planes[i, : -K.QUARTER], planes[j, K.QUARTER :]) for i in range(3) for j in range(3)]
     for a, b in pairs:
@@ -167,7 +191,7 @@ def test_turns_are_uniform():
     assert stats.kstest(u, "uniform").pvalue > 1e-4
 
 
-# --- likelihoods ------------------------------------------------------------------------------------------------------
+# --- likelihoods ----------------------------------------------------------------------------------
 
 
 def rotations(rng, B):
@@ -176,18 +200,24 @@ def rotations(rng, B):
 
 def models(sigma_deg):
     kappa = 1 / np.deg2rad(sigma_deg) ** 2
-    return [UnitVector(kappa), AzEl(sigma_deg), AzElAdaptive(sigma_deg, noise=FlippedAngles(sigma_deg))]
+    return [
+        UnitVector(kappa),
+        AzEl(sigma_deg),
+        AzElAdaptive(sigma_deg, noise=FlippedAngles(sigma_deg)),
+    ]
 
 
 @pytest.mark.parametrize("sigma_deg", [30.0, 10.0, 1.8118])  # the last one: kappa = 1000
 @pytest.mark.parametrize("which", range(3), ids=kernels.KINDS)
 @pytest.mark.parametrize("B", [1, 4, 9])
 def test_log_weights_of_one_step(sigma_deg, which, B, rng):
-    """Within 1e-4 of double precision, on 10 240 particles, whatever the noise drew and whatever lies in between.
+    """Within 1e-4 of double precision, on 10 240 particles, whatever the noise drew and whatever
+    lies in between.
 
-    Compared where the weight is more than 1e-20 of the largest one (the kernel itself stops at 4e-18). Angles: below 60
-    degrees of elevation (towards the pole the rounding of the position itself moves the azimuth) and, for the adaptive
-    model, where rounding does not decide between two rows of the table.
+    Compared where the weight is more than 1e-20 of the largest one (the kernel itself stops at
+    4e-18). Angles: below 60 degrees of elevation (towards the pole the rounding of the position
+    itself moves the azimuth) and, for the adaptive model, where rounding does not decide between
+    two rows of the table.
     """
     h, M = models(sigma_deg)[which], 40 * K.TILE
     for centre, spread in [((0, 0, 0), 0.5), ((4, -3, 1), 0.05), ((30, 10, -5), 2.0)]:
@@ -198,19 +228,27 @@ def test_log_weights_of_one_step(sigma_deg, which, B, rng):
         y = h.predict(truth[None], anchors)
         y += np.deg2rad(sigma_deg) * rng.normal(size=y.shape)
         if which == 0:
-            y = (y.reshape(B, 3) / np.linalg.norm(y.reshape(B, 3), axis=-1, keepdims=True)).reshape(1, -1)
+            y = (y.reshape(B, 3) / np.linalg.norm(y.reshape(B, 3), axis=-1, keepdims=True)).reshape(
+                1, -1
+            )
         r = np.full(y.shape, np.deg2rad(sigma_deg) ** 2)
         exact = h.loglik(particles[None], anchors, y, r)[0]
         out = np.empty(M, dtype=np.float32)
         x = np.ascontiguousarray(particles.T.astype(np.float32))
-        K.loglik(which, *x, pf.terms(which, y, r, anchors, np.zeros(3))[0], pf.weights_table(h), out)
+        K.loglik(
+            which, *x, pf.terms(which, y, r, anchors, np.zeros(3))[0], pf.weights_table(h), out
+        )
         seen = exact > exact.max() - 46
         if which:
             degrees = np.rad2deg(AzEl(1.0).predict(particles[None], anchors)[0, :, 1::2])
             seen &= np.all(np.abs(degrees) < 60, axis=-1)
             seen &= np.all(np.abs(degrees - np.floor(degrees) - 0.5) > 1e-4, axis=-1) | (which == 1)
         # what is the same for all particles the kernel leaves out
-        constant = {0: B * vmf_log_peak(1 / r[0, 0]), 1: -B * np.log(2 * np.pi * r[0, 0]), 2: -B * np.log(np.pi)}[which]
+        constant = {
+            0: B * vmf_log_peak(1 / r[0, 0]),
+            1: -B * np.log(2 * np.pi * r[0, 0]),
+            2: -B * np.log(np.pi),
+        }[which]
         assert seen.sum() > 100
         assert np.abs(out + constant - exact)[seen].max() < 1e-4
 
@@ -253,7 +291,7 @@ def test_a_particle_on_its_anchor_or_pole_is_finite(which):
     assert np.all(np.isfinite(out))
 
 
-# --- resampling -------------------------------------------------------------------------------------------------------
+# --- resampling -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("N", [1, 2, 100, 256, 257, 5000])
@@ -265,7 +303,10 @@ def test_resampling_chooses_the_same_ancestors_as_the_reference(N, rng):
         w[: N // 3] = 0  # none of the first and of the last ones
         if N > 2:
             w[N - 1] = 0
-        x, children = np.tile(np.arange(M, dtype=np.float32), (3, 1)), np.zeros((3, M), dtype=np.float32)
+        x, children = (
+            np.tile(np.arange(M, dtype=np.float32), (3, 1)),
+            np.zeros((3, M), dtype=np.float32),
+        )
         scratch = np.empty(M), np.empty(M, dtype=np.int32), np.empty(M + 1, dtype=np.float32)
         for uniform in (0.0, rng.random(), 1 - 2.0**-32):
             K.resample(w, N, uniform, *scratch, x, children)
@@ -277,7 +318,7 @@ def test_resampling_chooses_the_same_ancestors_as_the_reference(N, rng):
             assert np.all(w[ours] > 0)
 
 
-# --- whole laps -------------------------------------------------------------------------------------------------------
+# --- whole laps -----------------------------------------------------------------------------------
 
 NAMES = [f"pf_{m}" for m in ("vmf", "ae_nominal", "ae_fitted", "ae_adaptive")]
 
@@ -288,18 +329,24 @@ def cell_with(name, *words):
 
 def estimates(cell, engine, replication, **changes):
     estimator = replace(next(iter(cell.estimators.values())), engine=engine, **changes)
-    return montecarlo.estimate_tile(montecarlo.Draws(cell.scenario, cell.noise, cell.seed), estimator, replication)[1]
+    return montecarlo.estimate_tile(
+        montecarlo.Draws(cell.scenario, cell.noise, cell.seed), estimator, replication
+    )[1]
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("noise", ["vmf", "ae_flip"])
 def test_a_lap_along_the_kernel_in_double_precision(name, noise):
-    """20 laps of 300 particles: means and covariances differ by rounding, a few 1e-7 m in the median.
+    """20 laps of 300 particles: means and covariances differ by rounding, a few 1e-7 m in the
+    median.
 
-    The azimuth turns by rounding / rho close to a pole, where its likelihood is steep: AE up to some 2e-4 m. AE-adaptive
-    more, where a particle within rounding of the border between two rows of its table takes the other row's weights.
+    The azimuth turns by rounding / rho close to a pole, where its likelihood is steep: AE up to
+    some 2e-4 m. AE-adaptive more, where a particle within rounding of the border between two rows
+    of its table takes the other row's weights.
     """
-    most = {"pf_vmf": 1e-4, "pf_ae_nominal": 1e-3, "pf_ae_fitted": 1e-3, "pf_ae_adaptive": 0.02}[name]
+    most = {"pf_vmf": 1e-4, "pf_ae_nominal": 1e-3, "pf_ae_fitted": 1e-3, "pf_ae_adaptive": 0.02}[
+        name
+    ]
     cell = cell_with(name, f"noise={noise}")
     for r in range(20):
         fast, exact = (estimates(cell, engine, r, particles=300) for engine in ("auto", "double"))
@@ -312,7 +359,9 @@ def test_a_lap_along_the_kernel_in_double_precision(name, noise):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_rmse_agrees_with_the_reference_on_200_paired_replications(name):
-    """Draws of their own, 1000 particles: mean difference within 3.9 of its standard errors (false alarm 1e-4)."""
+    """Draws of their own, 1000 particles: mean difference within 3.9 of its standard errors (false
+    alarm 1e-4).
+    """
     cell = cell_with(name, "noise=ae_flip")
     one = next(iter(cell.estimators.values()))
     both = {engine: replace(one, engine=engine, particles=1000) for engine in ("auto", "numpy")}
@@ -325,8 +374,9 @@ def test_rmse_agrees_with_the_reference_on_200_paired_replications(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_single_precision_is_not_seen_beside_the_monte_carlo_error(name):
-    """RMSE of 300 replications of 1000 particles: the mean difference from double precision along the kernel, with three
-    of its standard errors (false alarm 3e-3), is below a tenth of the RMSE's standard error at 1000 replications.
+    """RMSE of 300 replications of 1000 particles: the mean difference from double precision along
+    the kernel, with three of its standard errors (false alarm 3e-3), is below a tenth of the RMSE's
+    standard error at 1000 replications.
 
     `make bench` measures it at 10 000 particles and 1000 replications, both data models.
     """
@@ -347,7 +397,9 @@ class Still:
     class motion:
         @staticmethod
         def matrices(dt):
-            return np.eye(3) * 0.9, np.array([[0.02, 0.01, 0.0], [0.01, 0.03, -0.01], [0.0, -0.01, 0.02]])
+            return np.eye(3) * 0.9, np.array(
+                [[0.02, 0.01, 0.0], [0.01, 0.03, -0.01], [0.0, -0.01, 0.02]]
+            )
 
 
 @pytest.mark.parametrize("B", [1, 2, 3, 7, 40])
@@ -356,13 +408,24 @@ class Still:
 def test_any_number_of_anchors_and_particles_and_any_linear_motion(B, N, which, rng):
     h = models(20.0)[which]
     anchors = Anchors(rng.uniform(-5, 5, (1, B, 3)), rotations(rng, B)[None])
-    angles = AzEl(20.0).predict(rng.normal(size=(1, 1, 3)), anchors).reshape(1, 1, B, 2) + 0.2 * rng.normal(
-        size=(1, 4, B, 2)
+    angles = AzEl(20.0).predict(rng.normal(size=(1, 1, 3)), anchors).reshape(
+        1, 1, B, 2
+    ) + 0.2 * rng.normal(size=(1, 4, B, 2))
+    batch = Batch(
+        angles[..., 0],
+        angles[..., 1],
+        anchors,
+        prior_mean=np.array([[3.0, 1, -2]]),
+        prior_cov=2 * np.eye(3),
     )
-    batch = Batch(angles[..., 0], angles[..., 1], anchors, prior_mean=np.array([[3.0, 1, -2]]), prior_cov=2 * np.eye(3))
     streams = Streams(3, "still", (11,))
-    fast, exact = (pf.ParticleFilter(h, N, 0.0, engine)(batch, Still(), streams) for engine in ("auto", "double"))
-    tolerance = {"atol": 2e-5} if which < 2 else {"atol": 2e-3}  # a particle on a border of the table's rows
+    fast, exact = (
+        pf.ParticleFilter(h, N, 0.0, engine)(batch, Still(), streams)
+        for engine in ("auto", "double")
+    )
+    tolerance = (
+        {"atol": 2e-5} if which < 2 else {"atol": 2e-3}
+    )  # a particle on a border of the table's rows
     assert np.allclose(fast.position, exact.position, **tolerance)
     assert np.allclose(fast.covariance, exact.covariance, **tolerance)
 
@@ -379,7 +442,7 @@ def test_the_same_bits_with_and_without_shared_normals(name, monkeypatch):
         assert np.array_equal(shared.covariance, other.covariance)
 
 
-# --- engines and files ------------------------------------------------------------------------------------------------
+# --- engines and files ----------------------------------------------------------------------------
 
 
 class Shifted(UnitVector):
@@ -401,7 +464,9 @@ def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
         "from aoabench.cli import dispatch\n"
         f"dispatch(['run', 'filter=[pf_vmf,ekf_vmf]', 'filter.pf_vmf.particles=50', 'reps=2', 'runner.n_jobs=1', 'runner.out={tmp_path}'])"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     assert [line for line in done.stderr.splitlines() if "numba" in line] == [
         "numba is not installed: filters run in NumPy, particle filters some 50 times slower; pip install numba"
@@ -419,10 +484,17 @@ def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
     ],
 )
 def test_kernels_use_only_their_own_file(name):
-    """The cache on disk does not see changes in other files of ours; and the models' numbers are the same in all."""
+    """The cache on disk does not see changes in other files of ours; and the models' numbers are
+    the same in all.
+    """
     module = load(name)
     tree = ast.parse(Path(module.__file__).read_text())
-    imported = {n for node in ast.walk(tree) if isinstance(node, ast.Import) for n in [a.name for a in node.names]}
+    imported = {
+        n
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import)
+        for n in [a.name for a in node.names]
+    }
     imported |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert not any(str(n).startswith("aoabench") for n in imported)
     if name in ("filters.particle_kernels", "filters.kalman_kernels"):
@@ -442,7 +514,9 @@ def test_kernels_use_only_their_own_file(name):
 def test_results_are_keyed_on_the_kernels_source(module, kernels_, monkeypatch):
     """They are loaded by name, so the key of stored results must be told of them."""
     read, parsed = [], store._parsed
-    monkeypatch.setattr(store, "_parsed", lambda file, *rest: read.append(file.name) or parsed(file, *rest))
+    monkeypatch.setattr(
+        store, "_parsed", lambda file, *rest: read.append(file.name) or parsed(file, *rest)
+    )
     store.source_hash([f"aoabench.{module}"])
     assert kernels_ in read
 
@@ -453,7 +527,9 @@ LIBM = re.compile(
 
 
 def test_the_machine_code_is_vectorised(tmp_path):
-    """Loops over particles work on whole vector registers and call nothing, where the CPU has AVX2 or better."""
+    """Loops over particles work on whole vector registers and call nothing, where the CPU has AVX2
+    or better.
+    """
     import llvmlite.binding as llvm
 
     features = llvm.get_host_cpu_features()
@@ -464,8 +540,13 @@ def test_the_machine_code_is_vectorised(tmp_path):
         "for name in ('normals', 'loglik', 'lap'):\n"
         "    print('KERNEL', name)\n    print(*getattr(K, name).inspect_asm().values())\n"
     )
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}  # the cache keeps no assembly: compile again
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True)
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+    }  # the cache keeps no assembly: compile again
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
+    )
     wide = "zmm" if features.get("avx512f") and not features.get("prefer-256-bit") else "ymm"
     for text in done.stdout.split("KERNEL ")[1:]:
         name = text.split(None, 1)[0]

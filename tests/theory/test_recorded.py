@@ -1,4 +1,6 @@
-"""Recordings: conventions in closed form, real recordings, a round trip, and every mistake in one clear line."""
+"""Recordings: conventions in closed form, real recordings, a round trip, and every mistake in one
+clear line.
+"""
 
 import csv
 import json
@@ -24,7 +26,9 @@ from aoabench.store import shipped
 from aoabench.types import UserError
 
 REAL = Path(__file__).parents[3] / "shared" / "data"
-needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="the real recordings lie beside the repository, not in it")
+needs_real = pytest.mark.skipif(
+    not REAL.is_dir(), reason="the real recordings lie beside the repository, not in it"
+)
 
 ANCHORS = "id,x_m,y_m,z_m,facing_deg\na1,0,0,2,0\na2,6,0,2,90\na3,6,6,2,-135\n"
 LOG = """fix,anchor,azimuth_deg,elevation_deg,rssi_dbm,x_m,y_m,z_m
@@ -56,7 +60,7 @@ def read(log=None, anchors="anchors.csv", path="log.csv", **changes):
     return preset(path=path, anchors=anchors, **changes)
 
 
-# --- what is read -----------------------------------------------------------------------------------------------------
+# --- what is read ---------------------------------------------------------------------------------
 
 
 def test_a_long_table_becomes_fixes_by_anchors(here):
@@ -84,10 +88,18 @@ def test_facing_is_that_of_floor_plans(here):
 
 def test_names_of_columns_and_formats_do_not_matter(here):
     frame = pd.read_csv("log.csv").rename(
-        columns={"fix": "n", "anchor": "Anchor ID", "azimuth_deg": "az", "elevation_deg": "el", "x_m": "px"}
+        columns={
+            "fix": "n",
+            "anchor": "Anchor ID",
+            "azimuth_deg": "az",
+            "elevation_deg": "el",
+            "x_m": "px",
+        }
     )
     frame.to_parquet("log.parquet")
-    Path("spaced.csv").write_text("\ufeff" + frame.to_csv(index=False).replace(",", ", ").replace("\n", "\r\n\r\n"))
+    Path("spaced.csv").write_text(
+        "\ufeff" + frame.to_csv(index=False).replace(",", ", ").replace("\n", "\r\n\r\n")
+    )
     columns = {"fix": "n", "anchor": "Anchor ID", "azimuth": "az", "elevation": "el", "x": "px"}
     for path in ("log.parquet", "spaced.csv"):
         s = preset(path=path, anchors="anchors.csv", columns=columns)
@@ -99,12 +111,17 @@ def test_ids_are_texts(here):
     Path("anchors.csv").write_text("id,x_m,y_m\n007,0,0\n1E5,1,0\n7,2,0\n")
     s = read("fix,anchor,azimuth_deg\n1,007,1\n1, 1E5 ,2\n1,7,3\n")
     np.testing.assert_allclose(np.rad2deg(s.recorded.azimuth), [[1, 2, 3]])
-    pd.DataFrame({"fix": [1.0, 1.0], "anchor": [7.0, 7.0], "azimuth_deg": [3.0, 3.0]}).to_parquet("log.parquet")
+    pd.DataFrame({"fix": [1.0, 1.0], "anchor": [7.0, 7.0], "azimuth_deg": [3.0, 3.0]}).to_parquet(
+        "log.parquet"
+    )
     assert np.rad2deg(read(path="log.parquet").recorded.azimuth[0, 2]) == pytest.approx(3)
 
 
 def test_a_layout_has_numbers_or_ids(here):
-    layout = {"_target_": "aoabench.scenarios.layout.AnchorLayout", "position_m": [[0, 0, 2], [6, 0, 2]]}
+    layout = {
+        "_target_": "aoabench.scenarios.layout.AnchorLayout",
+        "position_m": [[0, 0, 2], [6, 0, 2]],
+    }
     log = "fix,anchor,azimuth_deg\n1,{},30\n"
     for ids, word in ((None, "2"), (["p", "q"], "q")):
         s = read(log.format(word), anchors=layout, anchor_ids=ids)
@@ -130,13 +147,15 @@ def test_rows_within_the_window_make_a_fix_in_order_of_time(here):
 def test_times_may_be_dates_and_a_fix_goes_before_them(here):
     log = "time_s,anchor,azimuth_deg\n2024-05-01T12:00:00.5Z,a1,1\n2024-05-01T14:00:00.6+02:00,a2,2\n2024-05-01 12:00:01Z,a1,3\n"
     s = read(log, window_s=0.2)
-    np.testing.assert_allclose(np.rad2deg(s.recorded.azimuth), [[1, 2, math.nan], [3, math.nan, math.nan]])
+    np.testing.assert_allclose(
+        np.rad2deg(s.recorded.azimuth), [[1, 2, math.nan], [3, math.nan, math.nan]]
+    )
     boots = "time_s,anchor,azimuth_deg,fix\n900,a1,1,x\n5,a2,2,x\n,a1,3,w\n6,a2,4,w\n"
     s = read(boots)
     np.testing.assert_allclose(np.rad2deg(s.recorded.azimuth), [[1, 2, math.nan], [3, 4, math.nan]])
 
 
-# --- conventions in closed form ---------------------------------------------------------------------------------------
+# --- conventions in closed form -------------------------------------------------------------------
 
 
 def bearing_of(s):
@@ -152,12 +171,14 @@ def degrees(u):
 
 
 @pytest.mark.parametrize(("facing", "azimuth", "declared", "expected"), [
-    (90, -30, {"azimuth_sense": "clockwise"}, 120),  # u-blox: negative is left, seen from the antenna
+    # u-blox: negative is left, seen from the antenna
+    (90, -30, {"azimuth_sense": "clockwise"}, 120),
     (90, 30, {"azimuth_sense": "clockwise"}, 60),
     (-135, 16, {"azimuth_sense": "clockwise"}, -151),
     (90, 30, {}, 120),  # house
     (90, 30, {"frame": "global"}, 30),
-    (0, 30, {"frame": "global", "azimuth_sense": "clockwise", "azimuth_zero_deg": 90}, 60),  # a compass
+    # a compass
+    (0, 30, {"frame": "global", "azimuth_sense": "clockwise", "azimuth_zero_deg": 90}, 60),
     (40, 350, {"frame": "global"}, -10),
     (0, 0.5, {"azimuth_unit": "rad", "columns": {"azimuth": "azimuth_deg"}}, math.degrees(0.5)),
     (10, 30, {"azimuth_zero_deg": -20}, 20),
@@ -196,16 +217,22 @@ def test_no_elevation_is_not_measured(here):
 def test_an_array_turned_by_euler_angles(here):
     """Silicon Labs: world = Rz(oz) Ry(oy) Rx(ox) u, the boresight is the local +z."""
     ox, oy, oz = 20, -35, 110
-    Path("anchors.csv").write_text(f"id,x_m,y_m,z_m,facing_deg,pitch_deg,roll_deg\na1,0,0,3,{oz},{oy},{ox}\n")
+    Path("anchors.csv").write_text(
+        f"id,x_m,y_m,z_m,facing_deg,pitch_deg,roll_deg\na1,0,0,3,{oz},{oy},{ox}\n"
+    )
     s = read("fix,anchor,azimuth_deg,elevation_deg\n1,a1,40,60\n")
     a, e = np.deg2rad([40, 60])
     u = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
     cx, cy, cz = np.cos(np.deg2rad([ox, oy, oz]))
     sx, sy, sz = np.sin(np.deg2rad([ox, oy, oz]))
-    world = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]]) @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    world = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]]) @ np.array(
+        [[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]
+    )
     world = world @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ u
     np.testing.assert_allclose(bearing_of(s)[0, 0], world, atol=1e-12)
-    Path("anchors.csv").write_text("id,x_m,y_m,z_m,roll_deg\na1,0,0,3,180\n")  # at the ceiling, looking down
+    Path("anchors.csv").write_text(
+        "id,x_m,y_m,z_m,roll_deg\na1,0,0,3,180\n"
+    )  # at the ceiling, looking down
     s = read("fix,anchor,azimuth_deg,elevation_deg\n1,a1,0,90\n")
     np.testing.assert_allclose(bearing_of(s)[0, 0], [0, 0, -1], atol=1e-12)
 
@@ -217,7 +244,12 @@ def test_a_pitched_antenna_looks_down(here):
 
 
 def test_euler_angles_of_a_rotation(rng):
-    for angles in (*rng.uniform(-3, 3, (200, 3)), [0.3, np.pi / 2, 0], [0, -np.pi / 2, 2.0], [0, 0, np.pi]):
+    for angles in (
+        *rng.uniform(-3, 3, (200, 3)),
+        [0.3, np.pi / 2, 0],
+        [0, -np.pi / 2, 2.0],
+        [0, 0, np.pi],
+    ):
         np.testing.assert_allclose(euler(euler_of(euler(angles))), euler(angles), atol=1e-12)
 
 
@@ -243,7 +275,7 @@ def test_deviations(here):
     np.testing.assert_allclose(np.rad2deg(s.recorded.elevation_sigma), [[math.nan, 2, math.nan]])
 
 
-# --- mistakes ---------------------------------------------------------------------------------------------------------
+# --- mistakes -------------------------------------------------------------------------------------
 
 HEAD = "fix,anchor,azimuth_deg,elevation_deg,x_m,y_m\n"
 MISTAKES = {
@@ -344,7 +376,9 @@ def test_rows_of_parquet_are_counted_from_1(here):
 
 def test_a_misspelt_anchor_is_guessed(here):
     Path("anchors.csv").write_text("id,x_m,y_m\n6C1DEBA09949,0,0\n6C1DEBA09950,1,0\n")
-    with pytest.raises(UserError, match=r"line 2 has anchor='6C1DEBA0994'.*did you mean '6C1DEBA09949'"):
+    with pytest.raises(
+        UserError, match=r"line 2 has anchor='6C1DEBA0994'.*did you mean '6C1DEBA09949'"
+    ):
         read("fix,anchor,azimuth_deg\n1,6C1DEBA0994,3\n")
 
 
@@ -368,22 +402,29 @@ def test_rad_declared_as_deg_is_doubted(here):
     rows = "".join(f"{i},a1,{0.1 * i}\n" for i in range(30))
     assert "azimuth_unit=rad" in read("fix,anchor,azimuth_deg\n" + rows).notes[-1]
     whole = "".join(f"{i},a1,{i % 6}\n" for i in range(30))
-    for log in ("fix,anchor,azimuth_deg\n" + whole, "fix,anchor,azimuth_deg\n" + rows + "31,a1,50\n"):
+    for log in (
+        "fix,anchor,azimuth_deg\n" + whole,
+        "fix,anchor,azimuth_deg\n" + rows + "31,a1,50\n",
+    ):
         assert len(read(log).notes) == 1
 
 
 def test_a_million_rows(here):
     T, rng = 250_000, np.random.default_rng(1)
-    frame = pd.DataFrame({"time_s": np.repeat(np.arange(T) / 10, 4), "anchor": np.tile(["a1", "a2", "a3", "a4"], T)})
+    frame = pd.DataFrame(
+        {"time_s": np.repeat(np.arange(T) / 10, 4), "anchor": np.tile(["a1", "a2", "a3", "a4"], T)}
+    )
     frame["azimuth_deg"] = rng.uniform(-180, 180, 4 * T)
     frame["x_m"], frame["y_m"] = (np.repeat(rng.uniform(0, 9, T), 4) for _ in range(2))
     frame.to_parquet("log.parquet")
     Path("anchors.csv").write_text("id,x_m,y_m\na1,0,0\na2,9,0\na3,9,9\na4,0,9\n")
     s = read(path="log.parquet")
-    np.testing.assert_allclose(np.rad2deg(s.recorded.azimuth).ravel(), frame["azimuth_deg"], atol=1e-12)
+    np.testing.assert_allclose(
+        np.rad2deg(s.recorded.azimuth).ravel(), frame["azimuth_deg"], atol=1e-12
+    )
 
 
-# --- runs -------------------------------------------------------------------------------------------------------------
+# --- runs -----------------------------------------------------------------------------------------
 
 
 def run(capsys, *overrides):
@@ -419,12 +460,16 @@ def test_a_run_is_one_replication_of_no_noise(here, capsys):
     assert "reps=50 is taken as 1" in err
     assert "noise is not used" in err
     Path("log.csv").write_text(LOG.replace("1,a1,45", "1,a1,44"))
-    assert "2 replications x estimators computed" in run(capsys, "estimator=[ls_lines,anchor_mean]")[1]
+    assert (
+        "2 replications x estimators computed" in run(capsys, "estimator=[ls_lines,anchor_mean]")[1]
+    )
 
 
 def test_columns_on_the_command_line(here, capsys):
     Path("log.csv").write_text(LOG.replace("azimuth_deg", "az of it").replace("anchor", "who"))
-    code, out, err = run(capsys, "estimator=[ls_lines]", 'scenario.columns={azimuth:"az of it",anchor:who}')
+    code, out, err = run(
+        capsys, "estimator=[ls_lines]", 'scenario.columns={azimuth:"az of it",anchor:who}'
+    )
     assert code == 0, err
     code, out, err = run(capsys, "estimator=[ls_lines]", "scenario.columns={azimuth:az,anchor:who}")
     assert (code, len(err.splitlines())) == (2, 1)
@@ -479,12 +524,17 @@ def test_an_exported_replication_gives_the_same_errors(scenario, kind, estimator
     some = [f"estimator=[{','.join(estimators)}]", "store.steps=true", "runner.n_jobs=1"]
     few = ["scenario.packets=5"] if scenario == "ble_room" else []
     done = runner.run(
-        compose_cells([f"scenario={scenario}", "noise=ae_normal", "reps=2", "runner.out=first", *few, *some])
+        compose_cells(
+            [f"scenario={scenario}", "noise=ae_normal", "reps=2", "runner.out=first", *few, *some]
+        )
     )
     text = replaying.replay(done.out, 1, "ls_lines", export=kind)
     words = shlex.split(text.splitlines()[-1].removeprefix("read it back: aoabench run "))
     again = runner.run(compose_cells([*words, *some, "runner.out=again"]))
-    steps = [pd.concat(pd.read_parquet(f) for f in (d.out / "steps.parquet").glob("*.parquet")) for d in (done, again)]
+    steps = [
+        pd.concat(pd.read_parquet(f) for f in (d.out / "steps.parquet").glob("*.parquet"))
+        for d in (done, again)
+    ]
     for name in estimators:
         first, second = (frame[frame["estimator"] == name] for frame in steps)
         first = first[first["replication"] == 1]
@@ -493,7 +543,7 @@ def test_an_exported_replication_gives_the_same_errors(scenario, kind, estimator
         assert list(second["outcome"]) == list(first["outcome"])
 
 
-# --- real recordings --------------------------------------------------------------------------------------------------
+# --- real recordings ------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -522,7 +572,8 @@ def errors_of(*declared):
         "runner.n_jobs=1",
     ]
     done = runner.run(
-        compose_cells([*overrides, *declared, f"runner.out=out{len(list(Path().glob('out*')))}"]), progress=False
+        compose_cells([*overrides, *declared, f"runner.out=out{len(list(Path().glob('out*')))}"]),
+        progress=False,
     )
     (cell,) = pd.read_parquet(done.out / "cells.parquet")["cell"]
     return tables.fixes(done.out, cell, "ls_lines").error_xy_m[0]
@@ -557,12 +608,16 @@ def wifi(here):
                     seen["b_INFO_Receiving_robot"]["groundtruth_start_position"],
                 )
                 at = sender["groundtruth_position"]
-                name = f"{sender['Name']} {at['x']:.3f} {at['y']:.3f}"  # they were moved between the sets
+                # they were moved between the sets
+                name = f"{sender['Name']} {at['x']:.3f} {at['y']:.3f}"
                 anchors[name] = [name, at["x"], at["y"], at["z"]]
                 peak = seen["d_INFO_AOA_profile"]["Top_N_peaks"]["1"]
                 angles = [peak["estimated_azimuth"], sender["groundtruth_elevation"]]
                 rows.append([f"{file.stem}-{place}", name, *angles, *(receiver[a] for a in "xyz")])
-    for path, table in (("log.csv", rows), ("anchors.csv", [["id", "x_m", "y_m", "z_m"], *anchors.values()])):
+    for path, table in (
+        ("log.csv", rows),
+        ("anchors.csv", [["id", "x_m", "y_m", "z_m"], *anchors.values()]),
+    ):
         with Path(path).open("w", newline="") as file:
             csv.writer(file).writerows(table)
 
@@ -584,18 +639,23 @@ def test_the_true_zenith_angles_are_read_as_such(wifi):
         path="log.csv", anchors="anchors.csv", measured_by="mobile", frame="global",
         elevation_kind="zenith", columns={"elevation": "zenith_deg"},
     )  # fmt: skip
-    a, e = to_azel(*in_frames(s.truth(None)[None], s.known_anchors.position, s.known_anchors.rotation))
+    a, e = to_azel(
+        *in_frames(s.truth(None)[None], s.known_anchors.position, s.known_anchors.rotation)
+    )
     seen = np.isfinite(s.recorded.elevation)
     assert np.abs(s.recorded.elevation - e[0])[seen].max() < np.deg2rad(0.1)
     off = np.rad2deg(np.abs(np.angle(np.exp(1j * (s.recorded.azimuth - a[0]))))[seen])
     assert np.median(off) < 10
 
 
-# --- figures ----------------------------------------------------------------------------------------------------------
+# --- figures --------------------------------------------------------------------------------------
 
 
 def test_figures_of_a_campaign(rng, tmp_path):
-    errors = {f"method_{i}": np.where(rng.random(300) < 0.1 * i, np.nan, rng.gamma(2, 0.3, 300)) for i in range(4)}
+    errors = {
+        f"method_{i}": np.where(rng.random(300) < 0.1 * i, np.nan, rng.gamma(2, 0.3, 300))
+        for i in range(4)
+    }
     errors["none"] = np.full(300, np.nan)
     band = (np.array([0.0, 1, 2]), np.array([0.0, 0.5, 0.8]), np.array([0.1, 0.7, 0.9]))
     points, anchors = rng.uniform(0, 5, (12, 2)), np.array([[0, 0], [5.0, 5]])
@@ -604,7 +664,9 @@ def test_figures_of_a_campaign(rng, tmp_path):
         "cdf": lambda: campaign.cdf(errors, {"method_0": band}),
         "map": lambda: campaign.median_maps(points, medians, anchors, np.array([[0, 0], [5, 6]])),
         "one": lambda: campaign.median_maps(points[:1], {"a": np.array([0.3])}, anchors),
-        "track": lambda: campaign.track_maps(np.cumsum(rng.normal(size=(300, 2)), axis=0), errors, anchors),
+        "track": lambda: campaign.track_maps(
+            np.cumsum(rng.normal(size=(300, 2)), axis=0), errors, anchors
+        ),
     }
     for name, make in made.items():
         assert plots.save(make, tmp_path / f"{name}.png").stat().st_size > 5000
@@ -631,4 +693,7 @@ def test_places_that_a_target_was_at(rng):
     points, place = campaign.places(spots[which] + rng.uniform(-0.02, 0.02, (500, 2)))
     assert len(points) == 3
     assert np.hypot(*(points[place] - spots[which]).T).max() < 0.1
-    assert len(campaign.places(np.stack([np.arange(5000) / 10, np.zeros(5000)], axis=-1), most=20)[0]) == 21
+    assert (
+        len(campaign.places(np.stack([np.arange(5000) / 10, np.zeros(5000)], axis=-1), most=20)[0])
+        == 21
+    )

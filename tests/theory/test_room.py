@@ -1,4 +1,6 @@
-"""The room's estimators and its noise: closed forms, scipy's optimiser, likelihoods, and the channel's symptoms."""
+"""The room's estimators and its noise: closed forms, scipy's optimiser, likelihoods, and the
+channel's symptoms.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,7 +11,14 @@ from scipy import stats
 from scipy.optimize import minimize
 
 from aoabench.composing import compose_cells
-from aoabench.estimators.anchors import AnchorMean, BestAnchor, RssiAnchor, SingleAnchor, directions, on_plane
+from aoabench.estimators.anchors import (
+    AnchorMean,
+    BestAnchor,
+    RssiAnchor,
+    SingleAnchor,
+    directions,
+    on_plane,
+)
 from aoabench.estimators.lines import AnchorDiscarding, LineLeastSquares
 from aoabench.estimators.vmf_likelihood import VmfLikelihood
 from aoabench.geometry import euler, facing, in_frames, to_azel, wrap
@@ -19,12 +28,16 @@ from aoabench.types import Anchors, BadValue, Batch, Outcome, UserError
 
 
 def room(*words, noise="ae_normal", estimator="anchor_mean"):
-    return compose_cells(["scenario=ble_room", f"noise={noise}", f"estimator=[{estimator}]", *words])[0]
+    return compose_cells(
+        ["scenario=ble_room", f"noise={noise}", f"estimator=[{estimator}]", *words]
+    )[0]
 
 
 def seen(points, anchors, error=0.0):
     """A batch (1, T, B) of the angles of points (T, 3), with errors (2, T, B) rad."""
-    azimuth, elevation = (a for a in to_azel(*in_frames(points[None], anchors.position, anchors.rotation)))
+    azimuth, elevation = (
+        a for a in to_azel(*in_frames(points[None], anchors.position, anchors.rotation))
+    )
     error = np.broadcast_to(error, (2, *azimuth.shape[1:]))
     return Batch(wrap(azimuth + error[0]), elevation + error[1], anchors)
 
@@ -42,7 +55,7 @@ def tilted(rng):
     return Anchors(s[None], facing(rng.normal(size=(5, 3)))[None]), points
 
 
-# --- estimators -------------------------------------------------------------------------------------------------------
+# --- estimators -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("estimator", [
@@ -60,11 +73,18 @@ def test_exact_angles_give_the_exact_position_in_any_frame(estimator, tilted, rn
 
 def test_a_ray_meets_the_plane_where_trigonometry_says():
     anchors = Anchors(np.array([[[1.0, 2.0, 3.0]]]), np.eye(3)[None, None])
-    azimuth, depression = np.deg2rad([30.0, -120.0, 10.0, 77.0]), np.deg2rad([45.0, 60.0, 0.5, -20.0])
+    azimuth, depression = (
+        np.deg2rad([30.0, -120.0, 10.0, 77.0]),
+        np.deg2rad([45.0, 60.0, 0.5, -20.0]),
+    )
     batch = Batch(azimuth[None, :, None], -depression[None, :, None], anchors)
     xy = on_plane(directions(batch), anchors, 0.5, np.deg2rad(2.0))[0, :, 0]
-    reach = 2.5 / np.tan(np.maximum(depression, np.deg2rad(2.0)))  # the third is nearly level, the fourth looks up
-    assert np.allclose(xy, np.array([1, 2]) + reach[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)]))
+    reach = 2.5 / np.tan(
+        np.maximum(depression, np.deg2rad(2.0))
+    )  # the third is nearly level, the fourth looks up
+    assert np.allclose(
+        xy, np.array([1, 2]) + reach[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    )
     down = Batch(np.zeros((1, 1, 1)), np.full((1, 1, 1), -np.pi / 2), anchors)
     assert np.allclose(on_plane(directions(down), anchors, 0.5, 0.01), [1, 2])
 
@@ -74,7 +94,13 @@ def test_turning_the_world_turns_the_estimates(tilted, rng):
     batch = seen(points, anchors, 0.05 * rng.standard_normal((2, 40, 5)))
     G = euler([0, 0, 0.7])
     turned = replace(batch, anchors=Anchors(anchors.position @ G.T, anchors.rotation @ G.T))
-    for e in (SingleAnchor(1.0), AnchorMean(1.0), LineLeastSquares(), AnchorDiscarding(0.05), VmfLikelihood(1.0)):
+    for e in (
+        SingleAnchor(1.0),
+        AnchorMean(1.0),
+        LineLeastSquares(),
+        AnchorDiscarding(0.05),
+        VmfLikelihood(1.0),
+    ):
         a, b = (np.nan_to_num(e(x, place(x), None).position[0], nan=1.0) for x in (batch, turned))
         assert np.allclose(a @ G.T, b, atol=1e-4), type(e)
 
@@ -117,7 +143,10 @@ def test_lines_that_determine_nothing_fail():
         for e in (LineLeastSquares(), AnchorDiscarding(), VmfLikelihood("free")):
             assert e(batch, place(batch), None).outcome[0, 0] == Outcome.FAILED
     for e in (SingleAnchor(1.0), AnchorMean(1.0), RssiAnchor(1.0)):
-        assert e(replace(nothing, rssi=np.zeros((1, 1, 2))), place(nothing), None).outcome[0, 0] == Outcome.FAILED
+        assert (
+            e(replace(nothing, rssi=np.zeros((1, 1, 2))), place(nothing), None).outcome[0, 0]
+            == Outcome.FAILED
+        )
 
 
 def test_discarding_finds_the_one_wrong_anchor(tilted):
@@ -125,7 +154,10 @@ def test_discarding_finds_the_one_wrong_anchor(tilted):
     error = np.zeros((2, 40, 5))
     error[:, np.arange(40), np.arange(40) % 5] = 0.4
     batch = seen(points, anchors, error)
-    found, kept = AnchorDiscarding(1e-3)(batch, place(batch), None), LineLeastSquares()(batch, place(batch), None)
+    found, kept = (
+        AnchorDiscarding(1e-3)(batch, place(batch), None),
+        LineLeastSquares()(batch, place(batch), None),
+    )
     hit = np.linalg.norm(found.position[0] - points, axis=-1) < 1e-6
     assert hit.mean() > 0.8  # an outlier next to its anchor hides among the distances
     assert np.all(found.anchors_used[0, hit] == 4)
@@ -137,7 +169,9 @@ def test_discarding_finds_the_one_wrong_anchor(tilted):
 def test_vmf_likelihood_is_what_scipy_maximises(free, tilted, rng):
     anchors, points = tilted
     batch = seen(points, anchors, 0.15 * rng.standard_normal((2, 40, 5)))
-    batch = replace(batch, azimuth_sigma=np.broadcast_to(rng.uniform(0.05, 0.3, 5), batch.azimuth.shape))
+    batch = replace(
+        batch, azimuth_sigma=np.broadcast_to(rng.uniform(0.05, 0.3, 5), batch.azimuth.shape)
+    )
     found = VmfLikelihood("free" if free else 1.0, tolerance_m=1e-7)(batch, place(batch), None)
     u, s, kappa = directions(batch)[0], anchors.position[0], 1 / batch.azimuth_sigma[0, 0] ** 2
 
@@ -148,19 +182,27 @@ def test_vmf_likelihood_is_what_scipy_maximises(free, tilted, rng):
 
     for k in range(6):
         at = found.position[0, k] if free else found.position[0, k, :2]
-        best = minimize(minus_log, at, args=(k,), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10})
+        best = minimize(
+            minus_log, at, args=(k,), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10}
+        )
         assert np.allclose(at, best.x, atol=1e-4)
 
 
 def test_selectors_select(rng):
     cell = room(
-        "scenario.packets=10", noise="ble_multipath", estimator="single_anchor_1,single_anchor_2,single_anchor_3"
+        "scenario.packets=10",
+        noise="ble_multipath",
+        estimator="single_anchor_1,single_anchor_2,single_anchor_3",
     )
     truth, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 2)
-    single = np.stack([e(batch, cell.scenario, None).position[..., :2] for e in cell.estimators.values()], axis=2)
+    single = np.stack(
+        [e(batch, cell.scenario, None).position[..., :2] for e in cell.estimators.values()], axis=2
+    )
     e = np.hypot(*np.moveaxis(single - truth[:, :, None, :2], -1, 0))
     best = BestAnchor()(batch, cell.scenario, None, truth)
-    assert np.allclose(np.hypot(*np.moveaxis(best.position[..., :2] - truth[..., :2], -1, 0)), np.nanmin(e, axis=2))
+    assert np.allclose(
+        np.hypot(*np.moveaxis(best.position[..., :2] - truth[..., :2], -1, 0)), np.nanmin(e, axis=2)
+    )
     strongest = np.nanargmax(np.where(np.isfinite(batch.rssi), batch.rssi, -1e9), axis=-1)
     chosen = np.take_along_axis(single, strongest[..., None, None], axis=2)[:, :, 0]
     assert np.allclose(RssiAnchor()(batch, cell.scenario, None).position[..., :2], chosen)
@@ -202,7 +244,7 @@ def test_what_does_not_fit_is_told_before_the_run(words, says):
         compose_cells(["scenario=ble_room", "noise=ble_multipath", *words])
 
 
-# --- noise ------------------------------------------------------------------------------------------------------------
+# --- noise ----------------------------------------------------------------------------------------
 
 
 def quiet(**more):
@@ -219,13 +261,20 @@ def errors(noise, *words, reps=4):
     cell = room(*words)
     truth, batch = Draws(cell.scenario, noise, 1).tile(0, reps)
     true = to_azel(*in_frames(truth[..., :3], batch.anchors.position, batch.anchors.rotation))
-    return np.rad2deg([wrap(batch.azimuth - true[0]), batch.elevation - true[1]]), batch, cell.scenario, true
+    return (
+        np.rad2deg([wrap(batch.azimuth - true[0]), batch.elevation - true[1]]),
+        batch,
+        cell.scenario,
+        true,
+    )
 
 
 def test_without_its_parts_the_noise_is_none():
     e, batch, scenario, _ = errors(quiet(), "scenario.packets=4")
     assert np.abs(e).max() < 1e-6
-    d = np.linalg.norm(scenario.truth(None)[:, None, :3] - scenario.known_anchors.position[0], axis=-1)
+    d = np.linalg.norm(
+        scenario.truth(None)[:, None, :3] - scenario.known_anchors.position[0], axis=-1
+    )
     assert np.allclose(batch.rssi, -45 - 20 * np.log10(d))
 
 
@@ -237,8 +286,12 @@ def test_far_elevations_are_too_steep_by_the_stated_amount():
 
 
 def test_noise_grows_towards_the_pole():
-    """Deviation within 5 %: 4 x 42 x 400 draws, the chance of a false alarm is below 1e-6 per group."""
-    e, _, _, true = errors(quiet(azimuth_noise_deg=2, elevation_noise_deg=3), "scenario.packets=400")
+    """Deviation within 5 %: 4 x 42 x 400 draws, the chance of a false alarm is below 1e-6 per
+    group.
+    """
+    e, _, _, true = errors(
+        quiet(azimuth_noise_deg=2, elevation_noise_deg=3), "scenario.packets=400"
+    )
     c = np.maximum(np.cos(true[1]), 0.3)
     assert np.std(e[0] * c) == pytest.approx(2, rel=0.03)
     assert np.std(e[0][c < 0.5]) > 1.5 * np.std(e[0][c > 0.9])
@@ -246,17 +299,23 @@ def test_noise_grows_towards_the_pole():
 
 
 def test_fields_have_the_stated_deviation_and_correlation(rng):
-    """300 fields at 2 points: |rho - exp(-d^2 / 2 l^2)| < 0.25 is four standard errors, a false alarm 1e-4."""
+    """300 fields at 2 points: |rho - exp(-d^2 / 2 l^2)| < 0.25 is four standard errors, a false
+    alarm 1e-4.
+    """
     noise = BleMultipath(correlation_m=1.5)
     points = np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]])
-    f = np.concatenate([noise._fields(rng, points, (10, 10)).reshape(3, -1) for _ in range(3)], axis=1)
+    f = np.concatenate(
+        [noise._fields(rng, points, (10, 10)).reshape(3, -1) for _ in range(3)], axis=1
+    )
     assert np.allclose(f.std(axis=1), 1, atol=0.2)
     assert np.corrcoef(f)[0, 1] == pytest.approx(np.exp(-1 / 4.5), abs=0.25)
     assert abs(np.corrcoef(f)[0, 2]) < 0.25
 
 
 def test_biases_belong_to_the_campaign_and_the_place():
-    e, _, scenario, _ = errors(quiet(azimuth_bias_deg=5, bias_scale=(1.0, 0.0, 2.0)), "scenario.packets=6")
+    e, _, scenario, _ = errors(
+        quiet(azimuth_bias_deg=5, bias_scale=(1.0, 0.0, 2.0)), "scenario.packets=6"
+    )
     by_point = e[0].reshape(4, 42, 6, 3)
     assert np.allclose(by_point, by_point[:, :, :1], atol=1e-6)
     assert np.all(np.std(by_point[:, :, 0, 0], axis=0) > 0.1), "another campaign, another channel"
@@ -278,9 +337,13 @@ def test_disturbed_packets_are_pulled_at_all_anchors_at_once():
 
 
 def test_a_full_pull_points_at_a_wall_image():
-    e, batch, scenario, _ = errors(quiet(disturbed=(1, 1), pull=(1e9,), pull_spread=0), "scenario.packets=2", reps=1)
+    e, batch, scenario, _ = errors(
+        quiet(disturbed=(1, 1), pull=(1e9,), pull_spread=0), "scenario.packets=2", reps=1
+    )
     p, s = scenario.truth(None)[:, :3], scenario.known_anchors.position[0]
-    images = np.stack([p * [-1, 1, 1], p * [-1, 1, 1] + [14.4, 0, 0], p * [1, -1, 1], p * [1, -1, 1] + [0, 17, 0]])
+    images = np.stack(
+        [p * [-1, 1, 1], p * [-1, 1, 1] + [14.4, 0, 0], p * [1, -1, 1], p * [1, -1, 1] + [0, 17, 0]]
+    )
     azimuth = np.arctan2(*np.moveaxis(images[:, :, None, :2] - s[:, :2], -1, 0)[::-1])
     off = np.abs(wrap(batch.azimuth[0] - azimuth)).min(axis=0)
     assert off.max() < 1e-6
@@ -300,7 +363,12 @@ def test_outliers_losses_and_strength():
 def test_the_same_draws_whatever_the_parameters(rng):
     cell = room("scenario.packets=3")
     a = simulate(cell.scenario, quiet(azimuth_noise_deg=1.0), 1, 0)[1]
-    b = simulate(cell.scenario, quiet(azimuth_noise_deg=1.0, elevation_bias_deg=5, outlier_deg=3, fading_db=2), 1, 0)[1]
+    b = simulate(
+        cell.scenario,
+        quiet(azimuth_noise_deg=1.0, elevation_bias_deg=5, outlier_deg=3, fading_db=2),
+        1,
+        0,
+    )[1]
     assert np.array_equal(a.azimuth, b.azimuth)
 
 
@@ -309,6 +377,10 @@ def test_a_campaign_is_reproducible_and_tiles_do_not_matter():
     whole = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3)
     part = run_block(cell.scenario, cell.noise, cell.estimators, 1, 2, 3)
     for name, block in whole.items():
-        assert np.array_equal(block["fixes"]["error_xy_m"][2], part[name]["fixes"]["error_xy_m"][0], equal_nan=True)
-        assert np.allclose(block["rows"]["rmse_3d_m"], block["rows"]["rmse_xy_m"], rtol=1e-12), "a method in the plane"
+        assert np.array_equal(
+            block["fixes"]["error_xy_m"][2], part[name]["fixes"]["error_xy_m"][0], equal_nan=True
+        )
+        assert np.allclose(block["rows"]["rmse_3d_m"], block["rows"]["rmse_xy_m"], rtol=1e-12), (
+            "a method in the plane"
+        )
         assert np.all(np.isnan(block["rows"]["rmse_z_m"]))

@@ -1,4 +1,6 @@
-"""Least squares and Gauss-Newton: exact data, the bound, scipy's optimiser, the errata, degenerate geometry."""
+"""Least squares and Gauss-Newton: exact data, the bound, scipy's optimiser, the errata, degenerate
+geometry.
+"""
 
 from dataclasses import replace
 
@@ -21,7 +23,13 @@ ENGINES = ("auto", "numpy")
 
 def grid(sigma_deg=1.0, reps=1, *words):
     cell = compose_cells(
-        ["scenario=bs_grid", "noise=ae_normal", "estimator=[ls]", f"noise.sigma_deg={sigma_deg}", *words]
+        [
+            "scenario=bs_grid",
+            "noise=ae_normal",
+            "estimator=[ls]",
+            f"noise.sigma_deg={sigma_deg}",
+            *words,
+        ]
     )[0]
     truth, batch = Draws(cell.scenario, cell.noise, 1).tile(0, reps)
     return cell.scenario, truth, batch
@@ -41,8 +49,13 @@ def rmse(estimates, truth):
 def test_exact_angles_give_the_exact_position_in_any_frame(engine, rows, rng):
     anchors = Anchors(rng.uniform(-5, 5, (1, 5, 3)), facing(rng.normal(size=(5, 3)))[None])
     points = rng.uniform(-20, 20, (50, 3))
-    for estimator in (LeastSquares(rows, engine=engine), GaussNewton("kcorr", start=rows, engine=engine)):
-        assert np.allclose(estimator(exact(points, anchors), None, None).position[0], points, atol=1e-7)
+    for estimator in (
+        LeastSquares(rows, engine=engine),
+        GaussNewton("kcorr", start=rows, engine=engine),
+    ):
+        assert np.allclose(
+            estimator(exact(points, anchors), None, None).position[0], points, atol=1e-7
+        )
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -67,11 +80,16 @@ def test_renaming_x_and_y_changes_the_printed_start_and_not_the_invariant_one(en
 @pytest.mark.parametrize("sigma_deg", [0.5, 4.0, 15.0])
 @pytest.mark.parametrize("as_printed", [None, "sign", "atan2"])
 def test_the_kernel_equals_numpy(azimuth, sigma_deg, as_printed):
-    """Outcomes, positions and numbers of updates; fixes that wander for long may differ by rounding (at most 1 %)."""
+    """Outcomes, positions and numbers of updates; fixes that wander for long may differ by rounding
+    (at most 1 %).
+    """
     if as_printed and azimuth == "arctan":
         pytest.skip("there is nothing printed otherwise")
     _, _, batch = grid(sigma_deg, 2)
-    fast, slow = (GaussNewton(azimuth, as_printed=as_printed, updates=50, engine=e)(batch, None, None) for e in ENGINES)
+    fast, slow = (
+        GaussNewton(azimuth, as_printed=as_printed, updates=50, engine=e)(batch, None, None)
+        for e in ENGINES
+    )
     same = (fast.outcome == slow.outcome) & (fast.iterations == slow.iterations)
     assert same.mean() > 0.99
     assert np.abs(fast.position - slow.position)[same].max() < 1e-6
@@ -82,7 +100,9 @@ def test_any_number_of_anchors_will_do(B, rng):
     """Kernels pad the anchors to a multiple of four; whatever pads must not be seen."""
     anchors = Anchors(rng.uniform(-5, 5, (1, B, 3)), facing(rng.normal(size=(B, 3)))[None])
     batch = exact(rng.uniform(-20, 20, (50, 3)), anchors)
-    noisy = replace(batch, azimuth=wrap(batch.azimuth + 0.01 * rng.standard_normal(batch.azimuth.shape)))
+    noisy = replace(
+        batch, azimuth=wrap(batch.azimuth + 0.01 * rng.standard_normal(batch.azimuth.shape))
+    )
     a, b = (GaussNewton("kcorr", engine=engine)(noisy, None, None) for engine in ENGINES)
     assert np.mean(a.outcome == Outcome.OK) > 0.9
     assert np.array_equal(a.outcome, b.outcome)
@@ -115,24 +135,34 @@ def test_maximum_likelihood_is_what_scipy_minimises():
     h, anchors = AzEl(1.0), scenario.known_anchors
     y = np.stack([batch.azimuth, batch.elevation], axis=-1)[0].reshape(1000, -1)
     for i in range(0, 1000, 50):
-        best = least_squares(lambda x, i=i: h.residual(y[i], h.predict(x[None], anchors)[0]), truth[0, i], xtol=1e-12)
-        assert np.allclose(found.position[0, i], best.x, atol=0.02)  # the last step is shorter than 0.01 m
+        best = least_squares(
+            lambda x, i=i: h.residual(y[i], h.predict(x[None], anchors)[0]), truth[0, i], xtol=1e-12
+        )
+        assert np.allclose(
+            found.position[0, i], best.x, atol=0.02
+        )  # the last step is shorter than 0.01 m
 
 
 def test_corrected_likelihood_reaches_the_bound_at_small_noise():
-    """Mean square error over the CRB, 100 000 fixes; its clustered standard error is 0.6 %, the test's bound 2.5 %."""
+    """Mean square error over the CRB, 100 000 fixes; its clustered standard error is 0.6 %, the
+    test's bound 2.5 %.
+    """
     scenario, truth, batch = grid(0.25, 100)
     found = GaussNewton("kcorr")(batch, None, None)
     sigma = np.deg2rad(0.25)
     bound = bounds.crb(bounds.azel_information(truth[0], scenario.known_anchors, sigma, sigma))
     assert np.all(found.outcome == Outcome.OK)
-    assert rmse(found, truth) ** 2 / np.trace(bound, axis1=-2, axis2=-1).mean() == pytest.approx(1, abs=0.025)
+    assert rmse(found, truth) ** 2 / np.trace(bound, axis1=-2, axis2=-1).mean() == pytest.approx(
+        1, abs=0.025
+    )
 
 
 def test_errata_as_printed_do_harm():
     """L1 (sign) and L2 (arguments of atan2)."""
     _, truth, batch = grid(4.0, 5)
-    meant, sign, swapped = (GaussNewton(as_printed=p)(batch, None, None) for p in (None, "sign", "atan2"))
+    meant, sign, swapped = (
+        GaussNewton(as_printed=p)(batch, None, None) for p in (None, "sign", "atan2")
+    )
     assert np.mean(meant.outcome == Outcome.OK) > 0.999
     assert np.mean(sign.outcome == Outcome.OK) < 0.98
     assert rmse(swapped, truth) > 10 * rmse(meant, truth)
@@ -158,7 +188,9 @@ def test_iterations_that_leave_every_bound_diverge(engine):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("azimuth", AZIMUTHS)
 def test_rank_deficient_geometry_fails_that_fix_alone(engine, azimuth):
-    """One anchor, identical anchors, anchors in line with the target: failed, NaN; the fix beside it is fine."""
+    """One anchor, identical anchors, anchors in line with the target: failed, NaN; the fix beside
+    it is fine.
+    """
     line = np.array([[[0.0, 0, 0], [1, 1, 1], [2, 2, 2]]])
     for position in (line[:, :1], np.zeros((1, 4, 3)), line):
         anchors = Anchors(position, np.tile(np.eye(3), (1, position.shape[1], 1, 1)))
@@ -173,12 +205,17 @@ def test_rank_deficient_geometry_fails_that_fix_alone(engine, azimuth):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_identical_anchors_fail_with_noise_too(engine, rng):
-    """All planes pass through the one place; taking their intersection for a fix would answer the anchors' position."""
+    """All planes pass through the one place; taking their intersection for a fix would answer the
+    anchors' position.
+    """
     anchors = Anchors(
-        np.tile([[[3.0, 4, 5], [3.0, 4, 5], [3.0, 4, 5], [90.0, 0, 0]]], 1), np.tile(np.eye(3), (1, 4, 1, 1))
+        np.tile([[[3.0, 4, 5], [3.0, 4, 5], [3.0, 4, 5], [90.0, 0, 0]]], 1),
+        np.tile(np.eye(3), (1, 4, 1, 1)),
     )
     batch = exact(rng.uniform(-9, 9, (30, 3)), anchors)
-    azimuth, elevation = (a + 0.05 * rng.normal(size=a.shape) for a in (batch.azimuth, batch.elevation))
+    azimuth, elevation = (
+        a + 0.05 * rng.normal(size=a.shape) for a in (batch.azimuth, batch.elevation)
+    )
     azimuth[0, :10, 3] = elevation[0, :10, 3] = np.nan  # the one that stands elsewhere
     batch = replace(batch, azimuth=azimuth, elevation=elevation)
     for estimator in (LeastSquares(engine=engine), GaussNewton(engine=engine)):
@@ -199,9 +236,13 @@ def test_zones_and_positions(rng):
         scenario, truth, _ = grid(1.0, 2, f"scenario.zone={zone}", f"scenario.clearance_m={50}")
         assert np.array_equal(truth[0], truth[1])  # fixed by the seed
         d = np.abs(truth[0][:, None, :2] - scenario.known_anchors.position[0, None, :, :2])
-        assert {"strip": d.min(), "disc": np.linalg.norm(d, axis=-1).min(), "none": 0.0}[zone] >= least
+        assert {"strip": d.min(), "disc": np.linalg.norm(d, axis=-1).min(), "none": 0.0}[
+            zone
+        ] >= least
         assert np.all((truth >= 0) & (truth <= [1000, 1000, 20]))
     scenario, truth, _ = grid(1.0, 1, "scenario.zone=ring", "scenario.clearance_m=3")
-    d = np.linalg.norm(truth[0][:, None, :2] - scenario.known_anchors.position[0, None, :, :2], axis=-1).min(axis=1)
+    d = np.linalg.norm(
+        truth[0][:, None, :2] - scenario.known_anchors.position[0, None, :, :2], axis=-1
+    ).min(axis=1)
     assert np.allclose(d, 3)
     assert NormalAngles(1.0).sigma > 0
