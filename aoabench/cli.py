@@ -76,16 +76,25 @@ def dispatch(arguments: Sequence[str]) -> int:
 _HELP = """\
 aoabench: Monte Carlo benchmark of angle-of-arrival (AoA) positioning
 
-  aoabench list                        the presets: scenarios, noises, filters, estimators, experiments
-  aoabench run [OVERRIDES]             simulate one cell: aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
-  aoabench run -m [OVERRIDES]          sweep, e.g. ... -m noise.sigma_deg=2,5,10 (Hydra multirun; run --help says more)
-  aoabench compare RUN [--baseline NAME] [--metric NAME]    paired comparison of the estimators of a run
-  aoabench collect RUN                 make the tables of a run again from its parts (every run ends so)
-  aoabench replay RUN --replication N --estimator NAME    repeat one replication with its trace
-  aoabench reproduce [STUDY ...] [--scale quick|paper] [--only ITEM]    tables and figures of the studies
-  aoabench report [--format pdf|svg]   draw figures and page again from the stored tables
+  aoabench list
+      the presets: scenarios, noises, filters, estimators, experiments
+  aoabench run [OVERRIDES]
+      simulate one cell: aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
+  aoabench run -m [OVERRIDES]
+      sweep, e.g. ... -m noise.sigma_deg=2,5,10 (Hydra multirun; run --help says more)
+  aoabench compare RUN [--baseline NAME] [--metric NAME]
+      paired comparison of the estimators of a run
+  aoabench collect RUN
+      make the tables of a run again from its parts (every run ends so)
+  aoabench replay RUN --replication N --estimator NAME
+      repeat one replication with its trace
+  aoabench reproduce [STUDY ...] [--scale quick|paper] [--only ITEM]
+      tables and figures of the studies
+  aoabench report [--format pdf|svg]
+      draw figures and page again from the stored tables
 
-RUN is the folder of a run (runner.out). Exit status: 0 done, 2 a mistake in the input, 1 anything else."""
+RUN is the folder of a run (runner.out).
+Exit status: 0 done, 2 a mistake in the input, 1 anything else."""
 
 
 # --- run ------------------------------------------------------------------------------------------
@@ -145,7 +154,8 @@ def _draw_recording(out: Path, cell: Any) -> None:
 
 
 _RUN_HELP = """\
-aoabench run: simulate one cell, or with -m a sweep over cells, and keep every replication in Parquet.
+aoabench run: simulate one cell, or with -m a sweep over cells,
+and keep every replication in Parquet.
 
 == Options: GROUP=NAME; several filters or estimators: 'filter=[NAME,NAME]' ==
 
@@ -156,15 +166,19 @@ aoabench run: simulate one cell, or with -m a sweep over cells, and keep every r
 {config}
 == Flags ==
 
--m, --multirun      sweep: KEY=VALUE,VALUE makes a cell of each combination (Hydra's syntax, range() and glob() too)
--c job, --cfg job   show the composed config; with --resolve its interpolations too, with -p KEY a part of it
+-m, --multirun      sweep: KEY=VALUE,VALUE makes a cell of each combination
+                    (Hydra's syntax, range() and glob() too)
+-c job, --cfg job   show the composed config;
+                    with --resolve its interpolations too, with -p KEY a part of it
 --worst N           name the N worst replications of the run, each with the command that replays it
---config-dir DIR    a folder with configs of your own (DIR/filter/mine.yaml ...), appended to the shipped ones
+--config-dir DIR    a folder with configs of your own (DIR/filter/mine.yaml ...),
+                    appended to the shipped ones
 
 == Examples ==
 
 aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
-aoabench run -m noise.sigma_deg=2,5,10 'filter=[ekf_vmf,ekf_ae_nominal]' runner.out=results/raw/sigma
+aoabench run -m noise.sigma_deg=2,5,10 'filter=[ekf_vmf,ekf_ae_nominal]' \\
+    runner.out=results/raw/sigma
 aoabench run -m experiment=nurminen2018_frames reps=500
 
 `aoabench list` says what each option is."""
@@ -212,12 +226,14 @@ def _print_run(done: Any, cells: Sequence[Any]) -> None:
     ].dropna()
     if len(told):
         print(
-            f"exceptions and NaN in {len(told)} replications, e.g. {told.iloc[0]}; see {out}/failures.parquet"
+            f"exceptions and NaN in {len(told)} replications, e.g. {told.iloc[0]}; "
+            f"see {out}/failures.parquet"
         )
     if done.precision:
         _print_precision(done.precision)
     print(
-        f"tables: {out}/{{tidy,replications,cells,summary,timing}}.parquet    in Python: aoabench.load({str(out)!r})"
+        f"tables: {out}/{{tidy,replications,cells,summary,timing}}.parquet    "
+        f"in Python: aoabench.load({str(out)!r})"
     )
 
 
@@ -234,8 +250,8 @@ def _print_precision(rows: Sequence[Any]) -> None:
     )
     for row in short[:20]:
         print(
-            f"  not reached: cell {row['cell']} {row['estimator']}: {row['mean']:.4g} ± {row['se']:.2g} after "
-            f"{row['replications']} replications"
+            f"  not reached: cell {row['cell']} {row['estimator']}: {row['mean']:.4g} "
+            f"± {row['se']:.2g} after {row['replications']} replications"
         )
 
 
@@ -266,7 +282,8 @@ def _print_worst(out: Path, cells: Sequence[Any], n: int) -> None:
             else ""
         )
         print(
-            f"  {row['noise']} {row['estimator']} replication {row['replication']}: {error}{times}, {row['outcome']}"
+            f"  {row['noise']} {row['estimator']} replication {row['replication']}: "
+            f"{error}{times}, {row['outcome']}"
         )
         again = tables.replay_command(
             out, row["cell"], row["estimator"], row["replication"], cell.config, cell.plugins
@@ -278,7 +295,7 @@ def _print_worst(out: Path, cells: Sequence[Any], n: int) -> None:
 
 
 def reproduce(arguments: Sequence[str]) -> int:
-    """`aoabench reproduce`: compute the items of the studies, then draw figures, tables and page."""
+    """`aoabench reproduce`: compute the studies' items, then draw figures, tables and page."""
     from aoabench import reproducing
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
@@ -385,7 +402,7 @@ def collect(arguments: Sequence[str]) -> int:
 
 
 def replay(arguments: Sequence[str]) -> int:
-    """`aoabench replay`: repeat one replication of a run and write its trace and a picture of it."""
+    """`aoabench replay`: repeat one replication of a run, write its trace and a picture of it."""
     from aoabench import replaying
     from aoabench.config import parse_plugins
 

@@ -99,9 +99,23 @@ def compare(
 
 
 COLUMNS = (
-    "metric", "estimator", "baseline", "n", "of", "mean", "baseline_mean", "change", "change_low", "change_high",
-    "unit", "p", "p_holm", "by", "units", "pair",
-)  # fmt: skip
+    "metric",
+    "estimator",
+    "baseline",
+    "n",
+    "of",
+    "mean",
+    "baseline_mean",
+    "change",
+    "change_low",
+    "change_high",
+    "unit",
+    "p",
+    "p_holm",
+    "by",
+    "units",
+    "pair",
+)
 
 
 def _of_cell(
@@ -141,7 +155,8 @@ def _pairing(
             found = None if sums is None else sums.influence(metric)
             if found is None:
                 raise RunError(
-                    f"{run}: the fixes of {name} in cell {cell} are gone; run the same command again"
+                    f"{run}: the fixes of {name} in cell {cell} are gone; "
+                    "run the same command again"
                 )
             known[key] = found
         return known[key]
@@ -268,7 +283,10 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
             if math.isnan(first["baseline_mean"])
             else f", {first['baseline']} = {first['baseline_mean']:.4g}"
         )
-        yield f"{first['scenario']} {first['noise']}{where} (cell {cell}), {first['metric']}{level}{by}"
+        yield (
+            f"{first['scenario']} {first['noise']}{where} (cell {cell}), "
+            f"{first['metric']}{level}{by}"
+        )
         yield from (f"  {text}" for text in rows["text"])
     if table.attrs["left_out"]:
         yield ""
@@ -285,4 +303,7 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
         )
         yield ""
         yield f"95 % intervals, each by itself; p by Holm's method over the {m} {among}."
-        yield f"A difference is claimed where p < {LEVEL:g}; what would show one does so with probability 0.8."
+        yield (
+            f"A difference is claimed where p < {LEVEL:g}; "
+            "what would show one does so with probability 0.8."
+        )

@@ -46,7 +46,8 @@ def compose_cells(
             _refuse_hydra(str(override.input_line))
             if override.is_sweep_override() and not sweep:
                 raise UserError(
-                    f"{override.input_line}: several values are a sweep; add -m, or brackets for one list"
+                    f"{override.input_line}: several values are a sweep; "
+                    "add -m, or brackets for one list"
                 )
         typed = [str(o.key_or_group) for o in parsed]
         plain = [str(o.input_line) for o in parsed if not o.is_sweep_override()]
@@ -63,7 +64,8 @@ def compose_cells(
             jobs = BasicSweeper.split_arguments(parser.parse_overrides([*own, *overrides]), None)[0]
         if not jobs:
             raise UserError(
-                f"{' '.join(overrides)}: the sweep is empty; allowed: at least one value for each key"
+                f"{' '.join(overrides)}: the sweep is empty; "
+                "allowed: at least one value for each key"
             )
         cells = []
         for job in jobs:
@@ -216,7 +218,8 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
     root = Path(config_dir)
     if not root.is_dir():
         raise UserError(
-            f"--config-dir={config_dir}: no such folder; allowed: a folder with {', '.join(GROUPS)} in it"
+            f"--config-dir={config_dir}: no such folder; "
+            f"allowed: a folder with {', '.join(GROUPS)} in it"
         )
     if (root / "hydra").exists() or (root / "hydra").is_symlink():
         raise UserError(f"--config-dir={config_dir}: a folder 'hydra' is not allowed in it")
@@ -263,7 +266,8 @@ def _check_file(file: Path, group: str | None) -> None:
         keys = [key for node in nodes if isinstance(node, dict) for key in node]
         if keys != [file.stem]:
             raise UserError(
-                f"{file}: holds {', '.join(map(str, keys)) or 'nothing'}; allowed: one key, {file.stem!r}"
+                f"{file}: holds {', '.join(map(str, keys)) or 'nothing'}; "
+                f"allowed: one key, {file.stem!r}"
             )
 
 
@@ -341,7 +345,10 @@ def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None)
         group, _, name = str(missing).rpartition("/")
         known = list(getattr(error, "options", None) or options(group, config_dir))
         hint = did_you_mean(name, known)
-        return f"{group or 'config'}={name!r}: unknown preset{hint or ';'} allowed: {', '.join(known) or 'none'}"
+        return (
+            f"{group or 'config'}={name!r}: unknown preset{hint or ';'} "
+            f"allowed: {', '.join(known) or 'none'}"
+        )
     text = str(error)
     for override in overrides:
         key = override.partition("=")[0].lstrip("+~")

@@ -63,7 +63,10 @@ def options(group: str, config_dir: str | None = None) -> dict[str, str]:
 
 def resolve(target: object, path: str, plugins: Sequence[str] = ()) -> type:
     """The class that a `_target_` names, or UserError if it is not one that a config may name."""
-    allowed = f"a dataclass in {', '.join(PLUG_INS)}, or in a package listed in plugins=[...] on the command line"
+    allowed = (
+        f"a dataclass in {', '.join(PLUG_INS)}, "
+        "or in a package listed in plugins=[...] on the command line"
+    )
     key = f"{path}._target_"
     if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")):
         raise BadValue(key, target, allowed)
@@ -100,7 +103,8 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
         return node
     if "_target_" not in node:
         raise UserError(
-            f"{path}: a mapping with _target_ is needed here, got keys {', '.join(map(str, node)) or 'none'}"
+            f"{path}: a mapping with _target_ is needed here, "
+            f"got keys {', '.join(map(str, node)) or 'none'}"
         )
     cls = resolve(node["_target_"], path, plugins)
     known = [f.name for f in dataclasses.fields(cls) if f.init]
@@ -291,7 +295,8 @@ def build(
     for group in ("scenario", "noise"):
         if not isinstance(choices.get(group), str) or not plain.get(group):
             raise UserError(
-                f"{group}={choices.get(group)}: exactly one is needed; allowed: {', '.join(options(group))}"
+                f"{group}={choices.get(group)}: exactly one is needed; "
+                f"allowed: {', '.join(options(group))}"
             )
     scenario = _as(
         "scenario",
@@ -403,7 +408,8 @@ def _estimators(
                 motion = getattr(scenario, "motion", None)
                 if motion is None:
                     raise UserError(
-                        f"{path}: a filter needs a scenario with a motion model; scenario.motion is null"
+                        f"{path}: a filter needs a scenario with a motion model; "
+                        "scenario.motion is null"
                     )
                 _as("scenario.motion", motion, ("matrices",))
     return found
@@ -448,7 +454,8 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
         for key in node:
             if key not in known:
                 raise UserError(
-                    f"{path}.{key}: unknown key{did_you_mean(key, known) or '; allowed: ' + ', '.join(known)}"
+                    f"{path}.{key}: unknown key"
+                    f"{did_you_mean(key, known) or '; allowed: ' + ', '.join(known)}"
                 )
         nodes[path] = node
     if "out" not in nodes["runner"]:
@@ -458,7 +465,8 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
         for key in ("se", "relative_se"):
             if goal.get(key) is not None:
                 raise UserError(
-                    f"until.{key}={goal[key]}: of what? allowed: until.metric=rmse_3d_m with it, say"
+                    f"until.{key}={goal[key]}: of what? "
+                    "allowed: until.metric=rmse_3d_m with it, say"
                 )
         return RunnerOptions(**nodes["runner"], **nodes["store"])
     return RunnerOptions(**nodes["runner"], **nodes["store"], until=Until(**goal))
@@ -474,14 +482,20 @@ def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
     if "runner.out" not in typed and (
         out.is_absolute() or ".." in out.parts or runner.out.startswith("~")
     ):
-        allowed = "a folder below the working folder; elsewhere only by runner.out=... on the command line"
+        allowed = (
+            "a folder below the working folder; "
+            "elsewhere only by runner.out=... on the command line"
+        )
         raise BadValue("runner.out", runner.out, allowed)
     own = (
         runner.address in (None, os.environ.get("DASK_SCHEDULER_ADDRESS"))
         or "runner.address" in typed
     )
     if not own:
-        allowed = "only runner.address=... on the command line, or the environment's DASK_SCHEDULER_ADDRESS"
+        allowed = (
+            "only runner.address=... on the command line, "
+            "or the environment's DASK_SCHEDULER_ADDRESS"
+        )
         raise BadValue("runner.address", runner.address, allowed)
 
 

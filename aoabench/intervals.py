@@ -137,7 +137,7 @@ def cep(
 
 @dataclass(frozen=True)
 class Band:
-    """An empirical distribution function: shares (N,) of values up to x (N,), and a band around it."""
+    """An empirical distribution function: shares (N,) of values up to x (N,), with a band."""
 
     x: Array
     share: Array

@@ -22,7 +22,7 @@ def check_engine(engine: str, more: tuple[str, ...] = ()) -> None:
 
 @cache
 def load(name: str) -> ModuleType | None:
-    """The module aoabench.`name`, compiled or from the cache on disk; None where numba is missing."""
+    """The module aoabench.`name`, compiled or from the disk cache; None where numba is missing."""
     try:
         importlib.import_module("numba")
     except ImportError:
@@ -42,5 +42,6 @@ def prepare(name: str, say: Callable[[str], None]) -> None:
         waiting.cancel()
     if found is None:
         say(
-            "numba is not installed: filters run in NumPy, particle filters some 50 times slower; pip install numba"
+            "numba is not installed: filters run in NumPy, "
+            "particle filters some 50 times slower; pip install numba"
         )

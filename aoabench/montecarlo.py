@@ -295,8 +295,9 @@ def try_tile(
 def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...]) -> Estimates:
     """One tile (R, T) of some of the rows of each of several; nobody's rows are `failed`."""
     found: dict[str, np.ndarray | None] = {
-        "position": np.full((*shape, 3), np.nan), "outcome": np.full(shape, Outcome.FAILED, dtype=np.int8),
-    }  # fmt: skip
+        "position": np.full((*shape, 3), np.nan),
+        "outcome": np.full(shape, Outcome.FAILED, dtype=np.int8),
+    }
     for field in ("covariance", "iterations", "score", "anchors_used"):
         given = next((value for _, e in pieces if (value := getattr(e, field)) is not None), None)
         found[field] = None if given is None else np.full(given.shape, np.nan)

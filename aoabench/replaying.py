@@ -46,7 +46,8 @@ def replay(
     cell = cell or next(iter(records))
     if cell not in records:
         raise UserError(
-            f"--cell={cell}: not in this run{did_you_mean(cell, records)}; allowed: {', '.join(records)}"
+            f"--cell={cell}: not in this run{did_you_mean(cell, records)}; "
+            f"allowed: {', '.join(records)}"
         )
     record = records[cell]
     config = record["config"]
@@ -83,7 +84,10 @@ def replay(
     ].iloc[0]
     same = rmse == stored or (np.isnan(rmse) and np.isnan(stored))
     says = "as stored" if same else f"stored is {stored:.17g}: code or libraries have changed since"
-    title = f"{record['scenario']}, {record['noise']}: {estimator}, replication {replication}, RMSE {rmse:.3g} m"
+    title = (
+        f"{record['scenario']}, {record['noise']}: {estimator}, "
+        f"replication {replication}, RMSE {rmse:.3g} m"
+    )
     anchors, walls = (
         np.asarray(scenario.known_anchors.position)[0],
         getattr(scenario, "segments", None),

@@ -42,14 +42,16 @@ def reproduce(
     for name in names:
         if name not in known:
             raise UserError(
-                f"study {name!r}: unknown{did_you_mean(name, known) or '; allowed: ' + ', '.join(known)}"
+                f"study {name!r}: unknown"
+                f"{did_you_mean(name, known) or '; allowed: ' + ', '.join(known)}"
             )
     chosen = [study.load(name) for name in (names or known)]
     items = [(s, item) for s in chosen for item in s.items if only is None or item.name == only]
     if only is not None and not items:
         present = [item.name for s in chosen for item in s.items]
         raise UserError(
-            f"--only={only}: unknown item{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}"
+            f"--only={only}: unknown item"
+            f"{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}"
         )
     runner.writable(str(results), "--results")
     for s, item in items:
@@ -113,7 +115,8 @@ def draw(
                 problems[name, item.name] = problem
                 if problem:
                     echo(
-                        f"{name} {item.name}: not computed: {problem}; aoabench reproduce {name} --only {item.name}"
+                        f"{name} {item.name}: not computed: {problem}; "
+                        f"aoabench reproduce {name} --only {item.name}"
                     )
         if absent and only is None:
             echo(f"{name}: not computed: {', '.join(absent)}; aoabench reproduce {name}")

@@ -135,7 +135,8 @@ class _Run:
                     parts, damaged = store.examined(self.out, key)
                     for seal in damaged:
                         _tell(
-                            f"{seal.with_suffix('').with_suffix('')}: altered or torn; computed again"
+                            f"{seal.with_suffix('').with_suffix('')}: altered or torn; "
+                            "computed again"
                         )
                     self.damaged += damaged
                     self.losses[key] = Loss.of(tables.errors(parts, goal, lost=True))
@@ -166,8 +167,9 @@ class _Run:
                 self.out, cell.id, name, loss.first, cell.config, cell.plugins
             )
             self.stopped[cell.id] = (
-                f"cell {cell.id} ({cell.scenario_name}, {cell.noise_name}) stopped: {name!r} failed in {loss.count} of "
-                f"{there} replications, more than runner.max_failed={most:g} of {goal}; "
+                f"cell {cell.id} ({cell.scenario_name}, {cell.noise_name}) stopped: "
+                f"{name!r} failed in {loss.count} of {there} replications, "
+                f"more than runner.max_failed={most:g} of {goal}; "
                 f"replication {loss.first}: {loss.message}{f' ({again})' if again else ''}"
             )
 
@@ -183,10 +185,15 @@ class _Run:
             wanted = [(mean.se, until.se), (relative, until.relative_se)]
             reached = all(limit is None or error <= limit for error, limit in wanted)
             rows[name] = {
-                "metric": until.metric, "replications": goal, "mean": mean.value, "se": mean.se,
-                "relative_se": relative, "wanted_se": until.se, "wanted_relative_se": until.relative_se,
+                "metric": until.metric,
+                "replications": goal,
+                "mean": mean.value,
+                "se": mean.se,
+                "relative_se": relative,
+                "wanted_se": until.se,
+                "wanted_relative_se": until.relative_se,
                 "reached": reached,
-            }  # fmt: skip
+            }
         self.precision[cell.id] = rows
         return all(row["reached"] or math.isnan(row["mean"]) for row in rows.values())
 

@@ -1,11 +1,12 @@
 """Parquet in and out: parts that are never computed twice, their keys, their provenance and
 integrity.
 
-    <out>/parts/<key>/<start>-<stop>.<kind>.<unique>.parquet   rows (or steps, or fixes) of one estimator in one cell,
-                                                               provenance as metadata
-    <out>/parts/<key>/<start>-<stop>.json                    its seal: file names and checksums; without a matching one
-                                                             the part is computed again
-    <out>/parts/<key>/<start>-<stop>.json.damaged            a seal that did not match its files
+    <out>/parts/<key>/<start>-<stop>.<kind>.<unique>.parquet
+        rows (or steps, or fixes) of one estimator in one cell, provenance as metadata
+    <out>/parts/<key>/<start>-<stop>.json
+        its seal: file names and checksums; without a matching one the part is computed again
+    <out>/parts/<key>/<start>-<stop>.json.damaged
+        a seal that did not match its files
 
 A part's key covers everything its numbers depend on (scenario, noise, this estimator's config,
 seed, source code, library versions) and nothing else; the tables that people read are made from the
@@ -40,20 +41,51 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 REPLICATIONS = {
-    "cell": "string", "experiment": "string", "scenario": "string", "noise": "string", "estimator": "string",
-    "replication": "int64", "rmse_3d_m": "double", "rmse_xy_m": "double", "rmse_z_m": "double", "outcome": "string",
-    "n_fixes": "int64", "n_ok": "int64", "n_diverged": "int64", "n_oscillated": "int64", "n_failed": "int64",
-    "n_rejected": "int64", "iterations": "double", "nees": "double",
-}  # fmt: skip
+    "cell": "string",
+    "experiment": "string",
+    "scenario": "string",
+    "noise": "string",
+    "estimator": "string",
+    "replication": "int64",
+    "rmse_3d_m": "double",
+    "rmse_xy_m": "double",
+    "rmse_z_m": "double",
+    "outcome": "string",
+    "n_fixes": "int64",
+    "n_ok": "int64",
+    "n_diverged": "int64",
+    "n_oscillated": "int64",
+    "n_failed": "int64",
+    "n_rejected": "int64",
+    "iterations": "double",
+    "nees": "double",
+}
 STEPS = {
-    "cell": "string", "experiment": "string", "scenario": "string", "noise": "string", "estimator": "string",
-    "replication": "int64", "step": "int64", "x_m": "double", "y_m": "double", "z_m": "double",
-    "error_3d_m": "double", "error_xy_m": "double", "error_z_m": "double", "outcome": "string",
-}  # fmt: skip
+    "cell": "string",
+    "experiment": "string",
+    "scenario": "string",
+    "noise": "string",
+    "estimator": "string",
+    "replication": "int64",
+    "step": "int64",
+    "x_m": "double",
+    "y_m": "double",
+    "z_m": "double",
+    "error_3d_m": "double",
+    "error_xy_m": "double",
+    "error_z_m": "double",
+    "outcome": "string",
+}
 FIXES = {
-    "replication": "int64", "error_3d_m": "floats", "error_xy_m": "floats", "iterations": "floats", "score": "floats",
-    "anchors_used": "floats", "outcome": "bytes", "place": "ints",
-}  # fmt: skip
+    "replication": "int64",
+    "error_3d_m": "floats",
+    "error_xy_m": "floats",
+    "iterations": "floats",
+    "score": "floats",
+    "anchors_used": "floats",
+    "outcome": "bytes",
+    "place": "ints",
+}
 FAILURES = {"replication": "int64", "error": "string", "lost": "bool"}
 # what a part may consist of; rows are always there, failures where an estimator raised or gave NaN
 KINDS = {"rows": REPLICATIONS, "steps": STEPS, "fixes": FIXES, "failures": FAILURES}
@@ -102,15 +134,23 @@ def part_key(cell: Any, estimator: str, draws: str | None = None) -> str:
 
 
 def draws_key(cell: Any) -> str:
-    """Hash of everything that the simulated truth, measurements and scores of one cell depend on."""
-    return digest({
-        "scenario": cell.config["scenario"],
-        "noise": cell.config["noise"],
-        "seed": cell.seed,
-        "files": [_checksum(path) for o in (cell.scenario, cell.noise) for path in getattr(o, "files", ())],
-        "source": source_hash({"aoabench.montecarlo", *_modules([cell.scenario, cell.noise])}, cell.plugins),
-        "versions": _versions(),
-    })  # fmt: skip
+    """Hash of all that the simulated truth, measurements and scores of one cell depend on."""
+    return digest(
+        {
+            "scenario": cell.config["scenario"],
+            "noise": cell.config["noise"],
+            "seed": cell.seed,
+            "files": [
+                _checksum(path)
+                for o in (cell.scenario, cell.noise)
+                for path in getattr(o, "files", ())
+            ],
+            "source": source_hash(
+                {"aoabench.montecarlo", *_modules([cell.scenario, cell.noise])}, cell.plugins
+            ),
+            "versions": _versions(),
+        }
+    )
 
 
 def code_key(cell: Any) -> str:
@@ -314,12 +354,14 @@ def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
         except BlockingIOError:
             file.seek(0)
             say(
-                f"another run{file.readline().rstrip()} is writing into {out}: waiting until it has ended ..."
+                f"another run{file.readline().rstrip()} is writing into {out}: "
+                "waiting until it has ended ..."
             )
             fcntl.flock(file, fcntl.LOCK_EX)
         except OSError as error:
             say(
-                f"{out}: no file locks here ({error.strerror}); do not start two runs into it at once"
+                f"{out}: no file locks here ({error.strerror}); "
+                "do not start two runs into it at once"
             )
         file.truncate(0)
         file.write(f" (process {os.getpid()} on {platform.node()})\n")

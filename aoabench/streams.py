@@ -39,7 +39,7 @@ def generator(
 
 @lru_cache(maxsize=256)
 def philox_key(seed: int, scenario: str, role: int, purpose: int) -> tuple[int, int]:
-    """The key (two words of 32 bits) of a counter-based generator for one role in all replications."""
+    """Key (two 32-bit words) of one role's counter-based generator in all replications."""
     first, second = np.random.SeedSequence(
         (seed, *_words(scenario)), spawn_key=(role, purpose)
     ).generate_state(2)

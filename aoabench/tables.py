@@ -3,7 +3,8 @@
 <out>/cells/<cell>.json                    which cells, estimators and replications the tables show
 <out>/{replications,steps}.parquet/        one file per cell
 <out>/{cells,summary,timing,failures,precision}.parquet
-<out>/tidy.parquet                         all replications with their cells' swept parameters: what `load` gives
+<out>/tidy.parquet                         all replications with their cells' swept parameters;
+                                           what `load` returns
 """
 
 from __future__ import annotations
@@ -40,21 +41,46 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 TIMING = {
-    "cell": "string", "experiment": "string", "scenario": "string", "noise": "string", "estimator": "string",
-    "seconds_per_step": "double", "seconds_per_replication": "double", "replications": "int64", "steps": "int64",
-}  # fmt: skip
+    "cell": "string",
+    "experiment": "string",
+    "scenario": "string",
+    "noise": "string",
+    "estimator": "string",
+    "seconds_per_step": "double",
+    "seconds_per_replication": "double",
+    "replications": "int64",
+    "steps": "int64",
+}
 
 
 FAILURES = {
-    "cell": "string", "experiment": "string", "scenario": "string", "noise": "string", "estimator": "string",
-    "replication": "int64", "outcome": "string", "n_failed": "int64", "n_fixes": "int64", "error": "string",
+    "cell": "string",
+    "experiment": "string",
+    "scenario": "string",
+    "noise": "string",
+    "estimator": "string",
+    "replication": "int64",
+    "outcome": "string",
+    "n_failed": "int64",
+    "n_fixes": "int64",
+    "error": "string",
     "replay": "string",
-}  # fmt: skip
+}
 PRECISION = {
-    "cell": "string", "experiment": "string", "scenario": "string", "noise": "string", "estimator": "string",
-    "metric": "string", "replications": "int64", "mean": "double", "se": "double", "relative_se": "double",
-    "wanted_se": "double", "wanted_relative_se": "double", "reached": "bool",
-}  # fmt: skip
+    "cell": "string",
+    "experiment": "string",
+    "scenario": "string",
+    "noise": "string",
+    "estimator": "string",
+    "metric": "string",
+    "replications": "int64",
+    "mean": "double",
+    "se": "double",
+    "relative_se": "double",
+    "wanted_se": "double",
+    "wanted_relative_se": "double",
+    "reached": "bool",
+}
 
 
 def record_cell(
@@ -97,11 +123,19 @@ def record_cell(
             **(cell.config.get(group) or {}),
         }
     record = {
-        "cell": cell.id, "experiment": cell.experiment or before.get("experiment"), "scenario": cell.scenario_name,
-        "noise": cell.noise_name, "seed": cell.seed, "draws": draws, "changed": dict(cell.changed),
-        "swept": list(cell.swept), "config": config, "estimators": entries, "plugins": list(cell.plugins),
+        "cell": cell.id,
+        "experiment": cell.experiment or before.get("experiment"),
+        "scenario": cell.scenario_name,
+        "noise": cell.noise_name,
+        "seed": cell.seed,
+        "draws": draws,
+        "changed": dict(cell.changed),
+        "swept": list(cell.swept),
+        "config": config,
+        "estimators": entries,
+        "plugins": list(cell.plugins),
         "provenance": provenance(),
-    }  # fmt: skip
+    }
     if entries:
         _write_record(out, record)
 
@@ -413,7 +447,7 @@ class Fixes:
 
 
 def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
-    """The fixes of one estimator in one cell of the run in `out`; UserError where there are none."""
+    """Fixes of one estimator in one cell of the run in `out`; UserError where there are none."""
     entry = _read_record(Path(out) / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
     found = (
         [] if entry is None else [_fixes(part) for part in _noted_parts(Path(out), entry, "fixes")]

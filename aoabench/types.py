@@ -89,7 +89,7 @@ def check_choice(key: str, value: object, choices: Sequence[str]) -> None:
 
 
 def check_array(key: str, value: object, shape: tuple[int | None, ...]) -> Array:
-    """`value` as a finite float array of `shape` (None: any length >= 1); raise BadValue otherwise."""
+    """`value` as a finite float array of `shape` (None: any length >= 1); else raise BadValue."""
     wanted = " x ".join("N" if s is None else str(s) for s in shape) + " finite numbers"
     try:
         array = np.array(value, dtype=float)

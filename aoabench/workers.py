@@ -72,7 +72,7 @@ def kind_of(cell: Cell) -> str:
 
 
 def cores(n_jobs: int) -> int:
-    """Workers that `n_jobs` stands for; -1: as many as the process may use (affinity, containers)."""
+    """Number of workers for `n_jobs`; -1: all the process may use (affinity, containers)."""
     from joblib import cpu_count
 
     return cpu_count() if n_jobs < 0 else n_jobs
@@ -223,7 +223,8 @@ def _cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
             missing = str(error)
         if missing:
             raise UserError(
-                f"runner.address={address!r}: the scheduler does not import what this run does: {missing}"
+                f"runner.address={address!r}: "
+                f"the scheduler does not import what this run does: {missing}"
             )
         client.register_plugin(SamePath(sys.path))
         try:
@@ -253,11 +254,13 @@ def _far_away(number: int, task: Task, out: Path, code: str) -> tuple[int, dict[
     here = platform.node()
     if store.code_key(task.cell) != code:
         raise RunError(
-            f"the worker on {here} has another version of the code, of a plug-in or of a library than this run"
+            f"the worker on {here} has another version of the code, "
+            "of a plug-in or of a library than this run"
         )
     if not (out / ".lock").exists():
         raise RunError(
-            f"the worker on {here} does not see {out}: all workers need the file system that it is on"
+            f"the worker on {here} does not see {out}: "
+            "all workers need the file system that it is on"
         )
     return _numbered(number, task, out)
 
@@ -271,7 +274,8 @@ def _wait_until_seen(task: Task, out: Path) -> None:
     ):
         if time.monotonic() > deadline:
             raise RunError(
-                f"what the workers wrote does not show up in {out}: they need the file system that it is on"
+                f"what the workers wrote does not show up in {out}: "
+                "they need the file system that it is on"
             )
         time.sleep(0.5)
 

@@ -103,7 +103,8 @@ def markdown(frame: Any) -> str:
     lines = ["| what | | measured | target | how |", "|---|---|---|---|---|"]
     for _, row in frame.iterrows():
         lines.append(
-            f"| {row['what']} | {row['detail']} | {row['value']:.3g} {row['unit']} | {row['target']} | {row['how']} |"
+            f"| {row['what']} | {row['detail']} | {row['value']:.3g} {row['unit']} "
+            f"| {row['target']} | {row['how']} |"
         )
     return "\n".join(lines)
 

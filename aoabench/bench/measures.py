@@ -118,7 +118,10 @@ def kalman(repeats: int) -> Iterator[Row]:
                 * found[f"{kind.lower()}_ae_nominal"]
                 / laps[f"{kind.lower()}_ae_nominal"][0].steps
             )
-            same = "one lap of one replication, all anchors in one update; the estimates agree with ours"
+            same = (
+                "one lap of one replication, all anchors in one update; "
+                "the estimates agree with ours"
+            )
             target = f"at least {least}" if "Stone" in library else ""
             yield Row(f"Kalman step in {library}", kind, us, "us", "", same)
             yield Row(
@@ -149,7 +152,10 @@ def particle(repeats: int) -> Iterator[Row]:
     }
     found = in_turn({**actions, **others}, repeats)
     each = 1e9 / (batch.azimuth.shape[1] * PARTICLES)
-    how = f"median of {repeats}, in turn; 10 000 particles, 64 steps, 4 anchors, random numbers and resampling included"
+    how = (
+        f"median of {repeats}, in turn; 10 000 particles, 64 steps, "
+        "4 anchors, random numbers and resampling included"
+    )
     for name in names:
         yield Row("particle-step", name, each * found[name], "ns", "", how)
         yield Row("particle-step in NumPy", name, each * found[name + " numpy"], "ns", "", how)
@@ -186,7 +192,7 @@ def _eight(cells: list[Cell], engine: str) -> Callable[[], None]:
 
 
 def generality(repeats: int) -> Iterator[Row]:
-    """What any number of anchors and particles costs against a likelihood written for four anchors."""
+    """Cost of any number of anchors and particles against a likelihood written for four anchors."""
     from aoabench import kernels
 
     K = kernels.load("filters.particle_kernels")
@@ -219,7 +225,10 @@ def generality(repeats: int) -> Iterator[Row]:
     ns = {
         name: 1e9 * seconds / 100 / PARTICLES for name, seconds in in_turn(actions, repeats).items()
     }
-    how = "a kernel alone on 10 000 particles, 4 anchors; normals are drawn once for all filters of a replication, and "
+    how = (
+        "a kernel alone on 10 000 particles, 4 anchors; "
+        "normals are drawn once for all filters of a replication, and "
+    )
     how += "resampling happens in a third (VMF) to two thirds (AE-nominal) of the steps"
     for name in list(actions)[:-1]:
         yield Row("part of a particle-step", name, ns[name], "ns", "", how)
@@ -277,7 +286,10 @@ def precision(repeats: int) -> Iterator[Row]:
     difference's own standard errors added.
     """
     reps = 200
-    how = f"mean difference + 3 of its s.e. from double precision on the same draws and parents, {reps} replications, in"
+    how = (
+        "mean difference + 3 of its s.e. from double precision on the same draws and parents, "
+        f"{reps} replications, in"
+    )
     how += " s.e. of the RMSE at 1000; 10 000 particles, the worse data model; mean"
     with tempfile.TemporaryDirectory() as folder:
         for model in MODELS:
@@ -354,7 +366,10 @@ def snapshot(repeats: int) -> Iterator[Row]:
 
     actions["scipy"] = scipys
     found = in_turn(actions, repeats)
-    how = f"median of {repeats}, in turn; 1000 positions, 12 base stations, 2 deg; one core, least-squares start included"
+    how = (
+        f"median of {repeats}, in turn; 1000 positions, 12 base stations, 2 deg; "
+        "one core, least-squares start included"
+    )
     for name, (fast, _) in laps.items():
         rate, numpy_rate = fast.steps / found[name], fast.steps / found[name + " numpy"]
         yield Row(
@@ -396,7 +411,10 @@ def room(repeats: int) -> Iterator[Row]:
     cell = compose_cells([*words, f"estimator=[{','.join(names)}]"])[0]
     laps = {name: _Laps(cell, name) for name in names}
     found = in_turn({**laps}, repeats)
-    how = f"median of {repeats}, in turn; 42 points x 24 packets, 3 anchors, the shipped noise; one core"
+    how = (
+        f"median of {repeats}, in turn; 42 points x 24 packets, 3 anchors, "
+        "the shipped noise; one core"
+    )
     targets = {"discrepancy": "at most 0.8", "discrepancy_exact": "at most 18"}
     for name, lap in laps.items():
         yield Row(
@@ -537,7 +555,10 @@ def scaling(repeats: int) -> Iterator[Row]:
                 runner.run(cells, progress=False)
                 seconds.append(time.perf_counter() - begin)
             ratios.append(seconds[0] / seconds[1])
-    how = "median of 3 pairs: 3000 replications x 4 particle filters, start of the workers, tables and timing included"
+    how = (
+        "median of 3 pairs: 3000 replications x 4 particle filters, "
+        "start of the workers, tables and timing included"
+    )
     yield Row(
         "two workers against one",
         "particle filters",
@@ -564,7 +585,8 @@ def memory(repeats: int) -> Iterator[Row]:
             ]
             script = (
                 f"from aoabench.cli import dispatch\ndispatch({words!r})\n"
-                "print('PEAK', *(line.split()[1] for line in open('/proc/self/status') if 'VmHWM' in line))"
+                "print('PEAK', *(line.split()[1] "
+                "for line in open('/proc/self/status') if 'VmHWM' in line))"
             )
             done = subprocess.run(
                 [sys.executable, "-c", script], capture_output=True, text=True, check=True

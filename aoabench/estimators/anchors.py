@@ -158,7 +158,8 @@ class RssiAnchor(_OnPlane):
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         if batch.rssi is None:
             raise UserError(
-                "rssi_anchor needs signal strengths; choose a noise that makes them, e.g. noise=ble_multipath"
+                "rssi_anchor needs signal strengths; "
+                "choose a noise that makes them, e.g. noise=ble_multipath"
             )
         return _selected(self.each(batch, scenario), batch.rssi)
 

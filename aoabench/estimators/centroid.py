@@ -1,7 +1,8 @@
 """Weighted centroid geometric (WCG) positioning: each access node (AN) gives a position [Lu 2019,
 (12)-(14)].
 
-p_m = s_m + c tau_m R_m^T (cos e cos a, cos e sin a, sin e),    p = sum w_m p_m / sum w_m,    w_m = 1 / var(tau_m)
+    p_m = s_m + c tau_m R_m^T (cos e cos a, cos e sin a, sin e)
+    p   = sum w_m p_m / sum w_m,    w_m = 1 / var(tau_m)
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """The discrepancy filter (DF): a vote among the anchors' ellipses, then fusion of those that agree
 [Boquet 2024, 5].
 
-S1  Each anchor's ray, and its azimuth and elevation moved by one deviation sigma = R_sigma sigma-hat, meet the plane of
-    the node's known height; the points there make an ellipse E_i with centre mu_i and Sigma_i       (12)-(17)
-S2  M* is the largest set of anchors whose ellipses have a common point                               (18)-(19)
-S3  Sigma = (sum_{M*} Sigma_i^-1)^-1,   mu = Sigma sum_{M*} Sigma_i^-1 mu_i                           (20)-(21)
+S1  Each anchor's ray, and its azimuth and elevation moved by one deviation
+    sigma = R_sigma sigma-hat, meet the plane of the node's known height;
+    the points there make an ellipse E_i with centre mu_i and Sigma_i                   (12)-(17)
+S2  M* is the largest set of anchors whose ellipses have a common point                 (18)-(19)
+S3  Sigma = (sum_{M*} Sigma_i^-1)^-1,   mu = Sigma sum_{M*} Sigma_i^-1 mu_i             (20)-(21)
 """
 
 from __future__ import annotations

@@ -482,7 +482,7 @@ def holders(x, y, first, second, among, n, e):
 
 @called
 def area_ratio(M, n, e, points, number, order, t):
-    """(19) of the ellipses in the set M, by Green's theorem over the arcs between their crossings."""
+    """(19) of the ellipses in the set M, by Green's theorem over arcs between their crossings."""
     m = 0
     for i in range(n):
         if has(M, i, n):
@@ -570,14 +570,37 @@ def given(dimensions: int) -> types.Array:
 
 @kernel(
     types.void(
-        types.intp, types.intp, types.intp, types.float64, given(1), types.float64, *(given(d) for d in (2, 2, 2, 3)),
-        types.float64, types.float64[:, ::1], types.float64[:, :, ::1], types.int8[::1], types.float64[::1],
+        types.intp,
+        types.intp,
+        types.intp,
+        types.float64,
+        given(1),
+        types.float64,
+        *(given(d) for d in (2, 2, 2, 3)),
+        types.float64,
+        types.float64[:, ::1],
+        types.float64[:, :, ::1],
+        types.int8[::1],
+        types.float64[::1],
     )
-)  # fmt: skip
+)
 def discrepancy(
-    centre, intersection, ties, least, sines, minimum, azimuth, elevation, s, R, height, position, covariance, outcome,
+    centre,
+    intersection,
+    ties,
+    least,
+    sines,
+    minimum,
+    azimuth,
+    elevation,
+    s,
+    R,
+    height,
+    position,
+    covariance,
+    outcome,
     used,
-):  # fmt: skip
+):
     """Position (N, 3), covariance (N, 3, 3), outcome and number of anchors used (N,) of each fix
     from angles (N, B).
 

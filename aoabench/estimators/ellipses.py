@@ -3,7 +3,7 @@ set at a time.
 
 An ellipse is E = {m + L x : |x| <= 1}, centre m (2,) and L (2, 2), so that Sigma = L L^T and
 
-    E = {p : (p - m)^T Sigma^-1 (p - m) <= 1}                                      [Boquet 2024, 5.3]
+    E = {p : (p - m)^T Sigma^-1 (p - m) <= 1}                          [Boquet 2024, 5.3]
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@ anchor.
 
 In the anchor's frame, p = R_j (x - s_j), azimuth phi and elevation theta give [Le 2021, (10)-(19)]
 
-    (sin phi, -cos phi, 0) p = 0,        (tan theta, 0, -cos phi) p = 0          (the rows as printed)
-                                 or  (sin theta cos phi, sin theta sin phi, -cos theta) p = 0       (invariant)
+    (sin phi, -cos phi, 0) p = 0
+    (tan theta, 0, -cos phi) p = 0                                   (second row, as printed)
+    (sin theta cos phi, sin theta sin phi, -cos theta) p = 0         (or invariant)
 
 and x = (A^T A)^-1 A^T b. The printed second row divides by x - x_j, so that renaming x and y
 changes the estimate (L6).
@@ -145,7 +146,7 @@ def planes(batch: Batch, rows: str = "printed") -> Array:
 
 
 def solve(A: Array, g: Array) -> Array:
-    """A^-1 g for symmetric A (..., 3, 3) and g (..., 3), by Cholesky; NaN where a pivot vanishes."""
+    """A^-1 g, A symmetric (..., 3, 3), g (..., 3), by Cholesky; NaN where a pivot vanishes."""
     d0 = A[..., 0, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         l10, l20 = A[..., 1, 0] / d0, A[..., 2, 0] / d0

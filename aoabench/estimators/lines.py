@@ -4,7 +4,7 @@ anchors.
 A line through the anchor s along the unit vector u is at the distance |(I - u u^T)(p - s)| from p,
 so that
 
-    p = (sum_i (I - u_i u_i^T))^-1 sum_i (I - u_i u_i^T) s_i            [Boquet 2024, 2.2.2, the solution M_LS]
+    p = (sum_i (I - u_i u_i^T))^-1 sum_i (I - u_i u_i^T) s_i      [Boquet 2024, 2.2.2, M_LS]
 
 An azimuth alone is a plane with normal n = (-sin phi, cos phi, 0) in the anchor's frame: n n^T
 takes the place of I - u u^T, and with nothing but planes through the vertical the problem is that

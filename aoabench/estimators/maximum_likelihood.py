@@ -6,9 +6,9 @@
 from the least-squares start, until a step is shorter than `tolerance_m`. What the azimuth's
 difference means is the point of the paper:
 
-    arctan   f = arctan(y / x), the measurement folded into [-pi/2, pi/2)                            (b)
-    atan2    both in [0, 2 pi), no correction                                                        (c)
-    kcorr    both in [0, 2 pi), and 2 pi k added to f, k = sign(y - f) where |y - f| >= pi           (d)
+    arctan   f = arctan(y / x), the measurement folded into [-pi/2, pi/2)                   (b)
+    atan2    both in [0, 2 pi), no correction                                               (c)
+    kcorr    both in [0, 2 pi), and 2 pi k added to f, k = sign(y - f) where |y - f| >= pi  (d)
 
 A fix diverges where |x| exceeds 1e9 m, becomes NaN or the normal matrix is not positive definite,
 and oscillates after `updates` steps; both give the start back, as in the paper. The number of

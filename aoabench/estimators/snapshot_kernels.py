@@ -225,10 +225,17 @@ def given(dimensions: int) -> types.Array:
 
 @kernel(
     types.void(
-        types.intp, types.intp, types.intp, types.float64, types.intp, *(given(d) for d in (2, 2, 2, 2, 2, 3)),
-        types.float64[:, ::1], types.int8[::1], types.float64[::1],
+        types.intp,
+        types.intp,
+        types.intp,
+        types.float64,
+        types.intp,
+        *(given(d) for d in (2, 2, 2, 2, 2, 3)),
+        types.float64[:, ::1],
+        types.int8[::1],
+        types.float64[::1],
     )
-)  # fmt: skip
+)
 def gauss_newton(
     azimuth, printed, rows, tolerance, updates, phi, theta, wa, we, s, R, x, outcome, count
 ):

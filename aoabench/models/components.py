@@ -1,4 +1,4 @@
-"""How measurement components and state derivatives are laid out; shared by the measurement models."""
+"""Layout of measurement components and state derivatives, shared by the measurement models."""
 
 from __future__ import annotations
 

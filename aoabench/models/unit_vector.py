@@ -81,7 +81,7 @@ class UnitVector:
 
 
 def _directions(x: Array, anchors: Anchors) -> tuple[tuple[Array, Array, Array], Array]:
-    """Components (R, ..., B) of unit vectors in the anchors' frames, and distances (R, ..., B) m."""
+    """Unit vectors' components (R, ..., B) in the anchors' frames; distances (R, ..., B) m."""
     px, py, pz = in_frames(x[..., :3], anchors.position, anchors.rotation)
     distance = np.maximum(np.sqrt(px * px + py * py + pz * pz), 1e-12)
     return (px / distance, py / distance, pz / distance), distance

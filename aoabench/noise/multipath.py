@@ -5,13 +5,16 @@ No published recording tells what made the errors of [Boquet 2024, 6.3]; this is
 many parameters as that section has symptoms, each in YAML. In the order in which they act on the
 true direction from an anchor:
 
-- wall images: a share of the packets of a day finds the channel `disturbed`, for all anchors at once; each direction is
-  then pulled towards that of the node's mirror image in one of the room's walls, by an exponential fraction. Which
-  wall, and how strongly, varies over the floor with the correlation length, for each anchor in its own way;
+- wall images: a share of the packets of a day finds the channel `disturbed`, for all anchors at
+  once; each direction is then pulled towards that of the node's mirror image in one of the room's
+  walls, by an exponential fraction. Which wall, and how strongly, varies over the floor with the
+  correlation length, for each anchor in its own way;
 - a systematic elevation error: directions far from the anchor's pole come out too steep;
-- a bias field over the floor for each anchor and angle, Gaussian with a squared-exponential correlation;
+- a bias field over the floor for each anchor and angle, Gaussian with a squared-exponential
+  correlation;
 - an offset for each anchor, angle and day;
-- noise, whose azimuth part grows towards the pole, as that of a planar array does; and Laplace outliers.
+- noise, whose azimuth part grows towards the pole, as that of a planar array does; and Laplace
+  outliers.
 
 Channel means: fields and offsets are drawn once for a replication, a campaign.
 """

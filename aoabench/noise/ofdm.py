@@ -1,9 +1,11 @@
 """Time and angles of arrival of OFDM pilots at antenna arrays, at their Cramér-Rao bounds [Lu 2019,
 II].
 
-    RSS [dBm]    P_T - PL(d) + S + G_R,    PL = 32.4 + 17.3 log10(d / m) + 20 log10(f_c / GHz)       (1), InH LoS
-    time         sigma^2 = 3 P_n / (8 pi^2 f_sc^2 P_r M (M + 1) (2 M + 1)),    M = (N_u - 1) / 2      (4)
-    angle        sigma^2 = 6 P_n / (L (L^2 - 1) P_e (pi cos a)^2)                                     (8)
+    RSS [dBm]    P_T - PL(d) + S + G_R                                                (1)
+                 PL = 32.4 + 17.3 log10(d / m) + 20 log10(f_c / GHz)                  InH LoS
+    time         sigma^2 = 3 P_n / (8 pi^2 f_sc^2 P_r M (M + 1) (2 M + 1))            (4)
+                 M = (N_u - 1) / 2
+    angle        sigma^2 = 6 P_n / (L (L^2 - 1) P_e (pi cos a)^2)                     (8)
 
 with P_r the received power after beamforming and P_e = P_r / G_R that of one element: (8) counts
 the array's gain itself (erratum U6). The angle a off broadside is the azimuth for the azimuth, the

@@ -60,7 +60,7 @@ def new(
 def save(
     make: Callable[[], Figure], path: Path, formats: tuple[str, ...] = ("png",), dpi: int = 200
 ) -> Path:
-    """Draw in the house style and write `path` in each format; the files depend on the data alone."""
+    """Draw in the house style, write `path` in each format; the files depend on the data alone."""
     import matplotlib.pyplot as plt
 
     with plt.style.context(str(STYLE)):

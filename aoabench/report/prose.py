@@ -11,7 +11,7 @@ _START = re.compile(r"(#+ |[-*] |\d+\. |\||```)")  # what ends a paragraph that 
 
 
 def html(text: str, level: int = 4) -> str:
-    """HTML of a Markdown text; its second-level headings become <h`level`>, its title is left out."""
+    """HTML of a Markdown text without its title; second-level headings become <h`level`>."""
     out: list[str] = []
     for block in _blocks(text.splitlines()):
         first = block[0]
@@ -49,7 +49,7 @@ def inline(text: str) -> str:
 
 
 def _blocks(lines: list[str]) -> list[list[str]]:
-    """Headings, code, tables, lists (a joined line per item) and paragraphs, each a list of lines."""
+    """Headings, code, tables, lists (one line per item) and paragraphs, each a list of lines."""
     blocks: list[list[str]] = [[]]
     for line in lines:
         block = blocks[-1]
@@ -90,4 +90,7 @@ def _table(lines: list[str]) -> str:
         )
 
     body = "".join(row(cells, "td") for cells in rows[1:])
-    return f'<div class="scroll"><table><thead>{row(rows[0], "th")}</thead><tbody>{body}</tbody></table></div>'
+    return (
+        f'<div class="scroll"><table><thead>{row(rows[0], "th")}</thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )

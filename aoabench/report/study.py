@@ -155,7 +155,7 @@ class Reading:
 
 
 def read(study: Study, item: Item, results: Path) -> Reading:
-    """Read an item's stored table; nothing but `problem` comes from one that is of another version."""
+    """Read an item's stored table; for a table of another version, only `problem` is set."""
     if not table_path(results, study, item).exists():
         return Reading(False, {})
     try:
@@ -212,7 +212,8 @@ def _judge(
 ) -> dict[str, Any]:
     if entry["item"] not in {item.name for item in study.items}:
         raise UserError(
-            f"{study.folder / 'printed.yaml'}: {entry['id']}: item {entry['item']!r} is not in study.yaml"
+            f"{study.folder / 'printed.yaml'}: {entry['id']}: "
+            f"item {entry['item']!r} is not in study.yaml"
         )
     ours, samples = found.get(entry["id"], (None, float("nan")))
     claim = "claim" in entry

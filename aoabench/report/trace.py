@@ -1,4 +1,4 @@
-"""The picture of one replayed replication: where it went, how far off it was, what the filter saw."""
+"""Picture of one replayed replication: its path, its errors and what the filter saw."""
 
 from __future__ import annotations
 

@@ -68,8 +68,8 @@ class BsGrid:
             )
             if drawn >= 1000 * self.positions:
                 raise UserError(
-                    f"scenario.clearance_m={self.clearance_m:g}: a {self.zone} of that width leaves less than a "
-                    "thousandth of the area; allowed: a smaller one"
+                    f"scenario.clearance_m={self.clearance_m:g}: a {self.zone} of that width "
+                    "leaves less than a thousandth of the area; allowed: a smaller one"
                 )
         return kept[: self.positions]
 

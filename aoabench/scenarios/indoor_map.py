@@ -201,7 +201,7 @@ class IndoorMap:
 
     @cached_property
     def _start(self) -> Array:
-        """The state (9,) before the first step: at the first waypoint, velocity and acceleration 0."""
+        """The state (9,) before the first step: first waypoint, velocity and acceleration 0."""
         return np.array(
             [*check_array("route", self.route, (None, 2))[0], self.height_m[0], 0, 0, 0, 0, 0, 0]
         )

@@ -121,7 +121,8 @@ class Table:
                 long = np.flatnonzero(found[len(there)].notna())
                 if len(long):
                     raise table.bad(
-                        f"{len(there)} cells in every row, as in the header; {table.at(long[0])} has more"
+                        f"{len(there)} cells in every row, as in the header; "
+                        f"{table.at(long[0])} has more"
                     )
         except BadValue:
             raise
@@ -169,7 +170,7 @@ class Table:
         )
 
     def numbers(self, column: str, empty: bool = True) -> Array:
-        """A column (N,) of finite numbers, NaN where a cell is empty, if `empty` ones are allowed."""
+        """A column (N,) of finite numbers; NaN where a cell is empty, if `empty` allows it."""
         import pandas as pd
 
         cells = self.frame[column]

@@ -167,7 +167,8 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
             ("visited", "Polygon"),
         ):
             raise bad(
-                "walls (kind wall) as LineString or MultiLineString, the visited area (kind visited) as Polygon; "
+                "walls (kind wall) as LineString or MultiLineString, "
+                "the visited area (kind visited) as Polygon; "
                 f"feature {number} has the kind {kind!r} and the geometry {form!r}"
             )
         parts = [nested] if form == "LineString" else nested
@@ -175,7 +176,8 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
         good = [line for line in lines if line is not None]
         if not good or len(good) < len(lines):
             raise bad(
-                f"lines of at least two points [x, y] of finite numbers in m; feature {number} has others"
+                "lines of at least two points [x, y] of finite numbers in m; "
+                f"feature {number} has others"
             )
         if kind == "visited":
             outside, *holes = (_enclosed(line) for line in good)

@@ -236,7 +236,8 @@ class Recorded:
             arrays[name][fix[keep], anchor[keep]] = value[keep]
         heard, known = len(np.unique(anchor)), int(np.isfinite(truth[:, 0]).sum())
         notes.append(
-            f"{self.path}: {T} fixes, {known} with ground truth; {len(keep)} rows of {heard} anchors"
+            f"{self.path}: {T} fixes, {known} with ground truth; "
+            f"{len(keep)} rows of {heard} anchors"
         )
         if len(keep) < len(fix):
             notes.append(
@@ -245,7 +246,7 @@ class Recorded:
         return Log(truth, Measurements(**arrays), (*notes, *self._doubts(table)))
 
     def _chosen(self, there: Sequence[str]) -> dict[str, str]:
-        """Our names -> the file's, of the columns to be read from a file with the columns `there`."""
+        """Our names -> the file's, of the columns to read from a file with columns `there`."""
         unused = {"heading"} - self._needs_heading
         unused |= {"elevation", "elevation_sigma"} if self.elevation_kind == "none" else set()
         chosen = {
@@ -316,7 +317,10 @@ class Recorded:
             middle, sign = {"elevation": (0, 1), "depression": (0, -1), "zenith": (turn / 4, -1)}[
                 kind
             ]
-            allowed = f"{middle - limit:.6g} to {middle + limit:.6g}, as elevation_kind={kind} and elevation_unit="
+            allowed = (
+                f"{middle - limit:.6g} to {middle + limit:.6g}, "
+                f"as elevation_kind={kind} and elevation_unit="
+            )
             wrong = np.abs(raw - middle) > limit * (1 + 1e-6)
             table.check(
                 "elevation", wrong, f"{kind} angles from {allowed}{self.elevation_unit} declare"
@@ -345,7 +349,10 @@ class Recorded:
                     if self.negative_sigma == "absolute"
                     else np.where(sigma < 0, np.nan, sigma)
                 )
-                allowed = f"a number > 0 in {table.names[column]} for every {angle} that was measured; see negative_sigma"
+                allowed = (
+                    f"a number > 0 in {table.names[column]} "
+                    f"for every {angle} that was measured; see negative_sigma"
+                )
                 table.check(column, np.isfinite(found[angle]) & ~(sigma > 0), allowed)
                 found[column] = sigma
         return found
@@ -362,7 +369,8 @@ class Recorded:
         ):
             return []
         return [
-            f"{self.path}: all of {table.names['azimuth']} is within +-2 pi deg: if it is rad, azimuth_unit=rad"
+            f"{self.path}: all of {table.names['azimuth']} is within +-2 pi deg: "
+            "if it is rad, azimuth_unit=rad"
         ]
 
 

@@ -44,7 +44,8 @@ class Room:
         points = check_array("points_m", self.points_m, (None, 2))
         for i in np.flatnonzero(((points < 0) | (points > size[:2])).any(axis=1)):
             raise UserError(
-                f"points_m[{i}]={points[i].tolist()}: allowed: points in the room, {list(self.size_m)} m"
+                f"points_m[{i}]={points[i].tolist()}: "
+                f"allowed: points in the room, {list(self.size_m)} m"
             )
         check_number("height_m", self.height_m, least=0, most=float(size[2]))
         check_number("packets", self.packets, least=1, most=1_000_000, integer=True)

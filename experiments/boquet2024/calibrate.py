@@ -40,13 +40,25 @@ GRID_WEIGHT = 0.35
 
 # what is fitted, with the bounds of each; shares and positive numbers move on their logarithms
 FREE = {
-    "azimuth_noise_deg": (0.5, 6), "elevation_noise_deg": (0.5, 10), "steep_deg": (6, 35), "steep_power": (0.5, 5),
-    "azimuth_bias_deg": (0.5, 12), "elevation_bias_deg": (0.5, 12), "azimuth_day_deg": (0.2, 4),
-    "elevation_day_deg": (0.2, 4), "disturbed_1": (0.05, 0.9), "disturbed_2": (0.03, 0.7), "pull_1": (0.02, 2),
-    "pull_2": (0.03, 6), "pull_3": (0.03, 6), "correlation_m": (0.4, 3),
-    "outliers": (0.003, 0.2), "outlier_deg": (3, 60),
-    "bias_scale_2": (0.5, 4), "bias_scale_3": (0.5, 4),
-}  # fmt: skip
+    "azimuth_noise_deg": (0.5, 6),
+    "elevation_noise_deg": (0.5, 10),
+    "steep_deg": (6, 35),
+    "steep_power": (0.5, 5),
+    "azimuth_bias_deg": (0.5, 12),
+    "elevation_bias_deg": (0.5, 12),
+    "azimuth_day_deg": (0.2, 4),
+    "elevation_day_deg": (0.2, 4),
+    "disturbed_1": (0.05, 0.9),
+    "disturbed_2": (0.03, 0.7),
+    "pull_1": (0.02, 2),
+    "pull_2": (0.03, 6),
+    "pull_3": (0.03, 6),
+    "correlation_m": (0.4, 3),
+    "outliers": (0.003, 0.2),
+    "outlier_deg": (3, 60),
+    "bias_scale_2": (0.5, 4),
+    "bias_scale_3": (0.5, 4),
+}
 
 
 LISTS = (
@@ -127,9 +139,13 @@ def main() -> None:
     best = None
     for start in np.argsort(cost)[: args.starts]:
         found = minimize(
-            misfit, tried[start], args=(args.seeds, args.packets), method="Powell", bounds=list(zip(low, high)),
+            misfit,
+            tried[start],
+            args=(args.seeds, args.packets),
+            method="Powell",
+            bounds=list(zip(low, high)),
             options={"maxfev": args.evaluations, "xtol": 0.05, "ftol": 1e-3},
-        )  # fmt: skip
+        )
         print(f"from {cost[start]:.2f}: {found.fun:.2f} after {found.nfev} evaluations", flush=True)
         best = found if best is None or found.fun < best.fun else best
     assert best is not None

@@ -14,10 +14,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NAMES = {
-    "single_anchor_1": "A1", "single_anchor_2": "A2", "single_anchor_3": "A3", "best_anchor": "A best",
-    "rssi_anchor": "A rssi", "anchor_mean": "M avg", "ls_lines": "M LS", "ls_anchor_discarding": "M IAD",
-    "vmf_ml": "M vMF", "discrepancy": "DF",
-}  # fmt: skip
+    "single_anchor_1": "A1",
+    "single_anchor_2": "A2",
+    "single_anchor_3": "A3",
+    "best_anchor": "A best",
+    "rssi_anchor": "A rssi",
+    "anchor_mean": "M avg",
+    "ls_lines": "M LS",
+    "ls_anchor_discarding": "M IAD",
+    "vmf_ml": "M vMF",
+    "discrepancy": "DF",
+}
 STYLES = {
     "single_anchor_1": {"color": "#0072B2", "ls": "-"},
     "single_anchor_2": {"color": "#0072B2", "ls": "--"},
@@ -53,9 +60,11 @@ def _map(axis: Any, rows: pd.DataFrame, values: np.ndarray, **style: Any) -> Any
 # --- Figures 2 and 3 ------------------------------------------------------------------------------
 
 ANCHORS = {
-    "one anchor": [(5, 5)], "two anchors": [(2.5, 5), (7.5, 5)], "three anchors": [(2.5, 2.5), (7.5, 2.5), (5, 7.5)],
+    "one anchor": [(5, 5)],
+    "two anchors": [(2.5, 5), (7.5, 5)],
+    "three anchors": [(2.5, 2.5), (7.5, 2.5), (5, 7.5)],
     "four anchors": [(2.5, 2.5), (7.5, 2.5), (2.5, 7.5), (7.5, 7.5)],
-}  # fmt: skip
+}
 
 
 def fig2(frame: pd.DataFrame) -> Figure:
@@ -249,9 +258,8 @@ def fig5_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """P(error <= 1 m) for each R_sigma and without the vote."""
     rows = frame[np.isclose(frame["error_m"], 1.0)].to_dict("records")
     return {
-        f"fig5/{'no vote' if r['r_sigma'] != r['r_sigma'] else format(r['r_sigma'], 'g')}/within": _estimate(
-            r, "cdf"
-        )
+        f"fig5/{'no vote' if r['r_sigma'] != r['r_sigma'] else format(r['r_sigma'], 'g')}"
+        "/within": _estimate(r, "cdf")
         for r in rows
     }
 
@@ -354,7 +362,7 @@ def _df(name: str) -> str:
 
 
 def ranking(frame: pd.DataFrame) -> Figure:
-    """P(error <= 1 m) of the discrepancy filter minus that of each other method, against R_sigma."""
+    """P(error <= 1 m): discrepancy filter minus each other method, against R_sigma."""
     figure, axes = new(PAGE, 2.9, cols=3, sharey=True)
     titles = {
         "all": "each on its own fixes",
@@ -403,8 +411,14 @@ def rejection(frame: pd.DataFrame) -> Figure:
     for name in NAMES:
         rows = frame[frame["method"] == name].sort_values("coverage")
         if len(rows) > 1:
-            axis.errorbar(rows["coverage"], rows["within_1m"], yerr=3 * rows["within_1m_se"], elinewidth=0.5,
-                          label=f"{NAMES[name]}, by its residual", **STYLES[name])  # fmt: skip
+            axis.errorbar(
+                rows["coverage"],
+                rows["within_1m"],
+                yerr=3 * rows["within_1m_se"],
+                elinewidth=0.5,
+                label=f"{NAMES[name]}, by its residual",
+                **STYLES[name],
+            )
         elif len(rows):
             axis.plot(
                 rows["coverage"],
@@ -414,12 +428,26 @@ def rejection(frame: pd.DataFrame) -> Figure:
                 mfc="none",
                 color=STYLES[name]["color"],
             )
-            axis.annotate(NAMES[name], (rows["coverage"].iloc[0], rows["within_1m"].iloc[0]), xytext=(-4, 0),
-                          textcoords="offset points", fontsize=6, ha="right", va="center")  # fmt: skip
+            axis.annotate(
+                NAMES[name],
+                (rows["coverage"].iloc[0], rows["within_1m"].iloc[0]),
+                xytext=(-4, 0),
+                textcoords="offset points",
+                fontsize=6,
+                ha="right",
+                va="center",
+            )
     for kind, line in (("boxes", "-"), ("exact", ":")):
         rows = frame[frame["method"] == f"df {kind}"].sort_values("coverage")
-        axis.errorbar(rows["coverage"], rows["within_1m"], yerr=3 * rows["within_1m_se"], elinewidth=0.5, ls=line,
-                      label=rf"DF, by $R_\sigma$ ({kind})", **DF)  # fmt: skip
+        axis.errorbar(
+            rows["coverage"],
+            rows["within_1m"],
+            yerr=3 * rows["within_1m_se"],
+            elinewidth=0.5,
+            ls=line,
+            label=rf"DF, by $R_\sigma$ ({kind})",
+            **DF,
+        )
     axis.plot([0.48, 0.90], [0.86, 0.69], **PRINTED)
     axis.set(xlabel="coverage: share of the packets with a fix", ylabel=LIMIT, xlim=(0, 1.02))
     axis.legend(loc="lower left")
@@ -547,8 +575,16 @@ def boxes(frame: pd.DataFrame) -> Figure:
     left.set(xlabel=r"$R_\sigma$", ylabel="share of the packets [%]", ylim=(0, None))
     for kind, line in (("boxes", "-"), ("exact", ":")):
         for key, label, colour in (("within_1m", LIMIT, "#D55E00"), ("lost", "$R_d$", GREY)):
-            right.errorbar(frame["r_sigma"], frame[f"{key}_{kind}"], yerr=3 * frame[f"{key}_{kind}_se"], ls=line,
-                           color=colour, marker="o", ms=3, label=f"{label}, {kind}")  # fmt: skip
+            right.errorbar(
+                frame["r_sigma"],
+                frame[f"{key}_{kind}"],
+                yerr=3 * frame[f"{key}_{kind}_se"],
+                ls=line,
+                color=colour,
+                marker="o",
+                ms=3,
+                label=f"{label}, {kind}",
+            )
     right.set(xlabel=r"$R_\sigma$", ylim=(0, 1))
     for axis in (left, right):
         axis.legend()

@@ -29,9 +29,16 @@ from aoabench.types import Anchors
 
 Runs = Iterable[tuple[Any, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
 METHODS = (
-    "single_anchor_1", "single_anchor_2", "single_anchor_3", "best_anchor", "rssi_anchor", "anchor_mean", "ls_lines",
-    "ls_anchor_discarding", "vmf_ml",
-)  # fmt: skip
+    "single_anchor_1",
+    "single_anchor_2",
+    "single_anchor_3",
+    "best_anchor",
+    "rssi_anchor",
+    "anchor_mean",
+    "ls_lines",
+    "ls_anchor_discarding",
+    "vmf_ml",
+)
 SCORED = (
     "anchor_mean",
     "ls_lines",
@@ -255,9 +262,14 @@ def rule(scale: str) -> pd.DataFrame:
         mean = (a + gamma * b) / 2
         q = statistics.ratio((mean**2).sum(-1), (a**2).sum(-1))
         rows.append(
-            {"gamma": gamma, "samples": n, "ratio": np.sqrt(q.value), "ratio_se": q.se / (2 * np.sqrt(q.value)),
-             "closed": np.sqrt(1 + gamma**2) / 2}
-        )  # fmt: skip
+            {
+                "gamma": gamma,
+                "samples": n,
+                "ratio": np.sqrt(q.value),
+                "ratio_se": q.se / (2 * np.sqrt(q.value)),
+                "closed": np.sqrt(1 + gamma**2) / 2,
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -430,9 +442,17 @@ def rejection(runs: Runs) -> pd.DataFrame:
         p, given = within(e), np.isfinite(e).mean(axis=1)
         c, q = statistics.mean(given), jackknife(e, rms)
         rows.append(
-            {"method": name, "r_sigma": r, "coverage": c.value, "coverage_se": c.se, "within_1m": p.value,
-             "within_1m_se": p.se, "rmse_m": q.value, "rmse_se": q.se}
-        )  # fmt: skip
+            {
+                "method": name,
+                "r_sigma": r,
+                "coverage": c.value,
+                "coverage_se": c.se,
+                "within_1m": p.value,
+                "within_1m_se": p.se,
+                "rmse_m": q.value,
+                "rmse_se": q.se,
+            }
+        )
 
     for m in METHODS:
         for coverage in np.round(np.arange(0.1, 1.01, 0.05), 2) if m in SCORED else (1.0,):
@@ -461,10 +481,20 @@ def fig8(runs: Runs) -> pd.DataFrame:
             found = statistics.mean(each)
             low, high = np.quantile(each, [0.05, 0.95]) if len(each) else (np.nan, np.nan)
             rows.append(
-                {"method": name, "x_m": x, "y_m": y, "median_m": found.value, "median_se": found.se, "low_m": low,
-                 "high_m": high, "printed_m": printed[name][i] if name in printed else np.nan,
-                 "unnamed_m": printed["unnamed"][i] if name in ("ls_anchor_discarding", "rssi_anchor") else np.nan}
-            )  # fmt: skip
+                {
+                    "method": name,
+                    "x_m": x,
+                    "y_m": y,
+                    "median_m": found.value,
+                    "median_se": found.se,
+                    "low_m": low,
+                    "high_m": high,
+                    "printed_m": printed[name][i] if name in printed else np.nan,
+                    "unnamed_m": printed["unnamed"][i]
+                    if name in ("ls_anchor_discarding", "rssi_anchor")
+                    else np.nan,
+                }
+            )
     return pd.DataFrame(rows)
 
 
@@ -546,7 +576,7 @@ def misfits(
 
 
 def _log_ratio(grid: np.ndarray, m: np.ndarray) -> float:
-    """Root mean square log ratio of the mean of campaigns' medians (R, P) to a printed grid (P,)."""
+    """Root mean square log ratio of the mean campaign median (R, P) to a printed grid (P,)."""
     return float(np.sqrt(np.nanmean(np.log(np.nanmean(m, axis=0) / grid) ** 2)))
 
 

@@ -97,7 +97,7 @@ def fig6(frame: pd.DataFrame) -> Figure:
 
 
 def fig6_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """RMSEs, the ratio to the bound, and how far each other estimator lies above the proposed one."""
+    """RMSEs, ratios to the bound, and how far each other estimator is above the proposed one."""
     found = {}
     for r in frame.to_dict("records"):
         key = f"fig6/{r['sigma_deg']:g}/{r['estimator']}"
@@ -146,7 +146,7 @@ def fig7_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def table1(frame: pd.DataFrame) -> Figure:
-    """Shares, errors and iterations of the three classes, over all deviations [Le 2021, Table I]."""
+    """Shares, errors and iterations of the classes over all deviations [Le 2021, Table I]."""
     figure, axes = new(PAGE, 2.6, cols=3, sharey=True)
     rows = frame[frame["sigma_deg"].isna()]
     labels = [f"{NAMES[r['estimator']]}: {r['class']}" for r in rows.to_dict("records")]
@@ -181,7 +181,7 @@ def table1(frame: pd.DataFrame) -> Figure:
 
 
 def table1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Over all deviations: iterations of each class, and its RMSE over that of the converged fixes."""
+    """Over all deviations: each class's iterations, and its RMSE over the converged fixes'."""
     found = {}
     for r in frame[frame["sigma_deg"].isna()].to_dict("records"):
         key = f"table1/{r['estimator']}/{r['class']}"

@@ -55,7 +55,7 @@ def root_of_ratio(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
 
 
 def standing(above: Estimate, z: float = 3.0) -> str:
-    """What a paired difference (another one's minus the proposed one's) says of the proposed one."""
+    """The proposed one's standing by a paired difference (another one's minus its own)."""
     return (
         "lower"
         if above.value > z * above.se
@@ -90,16 +90,32 @@ def accuracy(cell: Any, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
         more = statistics.mean(updates.get(name, nothing) - updates[PROPOSED])
         rows.append(
             {
-                "sigma_deg": round(float(np.rad2deg(cell.noise.sigma)), 9), "estimator": name,
-                "positions": points, "draws": draws,
-                "rmse_m": rmse.value, "rmse_se": rmse.se, "bound_m": rms(crb).value, "bound_se": rms(crb).se,
-                "ratio": ratio.value, "ratio_se": ratio.se, "ratio_xy": ratio_xy.value, "ratio_xy_se": ratio_xy.se,
-                "above_percent": above.value, "above_se": above.se, "rmse_of_proposed_is": standing(above),
-                "iterations": count.value, "iterations_se": count.se,
-                "more_iterations": more.value, "more_se": more.se, "iterations_of_proposed_are": standing(more),
+                "sigma_deg": round(float(np.rad2deg(cell.noise.sigma)), 9),
+                "estimator": name,
+                "positions": points,
+                "draws": draws,
+                "rmse_m": rmse.value,
+                "rmse_se": rmse.se,
+                "bound_m": rms(crb).value,
+                "bound_se": rms(crb).se,
+                "ratio": ratio.value,
+                "ratio_se": ratio.se,
+                "ratio_xy": ratio_xy.value,
+                "ratio_xy_se": ratio_xy.se,
+                "above_percent": above.value,
+                "above_se": above.se,
+                "rmse_of_proposed_is": standing(above),
+                "iterations": count.value,
+                "iterations_se": count.se,
+                "more_iterations": more.value,
+                "more_se": more.se,
+                "iterations_of_proposed_are": standing(more),
             }
-            | {f"share_{word}": float((f.outcome == outcome).mean()) for word, outcome in CLASSES.items()}
-        )  # fmt: skip
+            | {
+                f"share_{word}": float((f.outcome == outcome).mean())
+                for word, outcome in CLASSES.items()
+            }
+        )
     return rows
 
 

@@ -86,10 +86,19 @@ def _ranked(
     order = sorted(rmse, key=lambda name: rmse[name].value)
     return [
         {
-            "setting": setting, "rank": i + 1, "estimator": name, "metric": metric, "over": unit, "n": n,
-            "rmse_m": rmse[name].value, "rmse_se": rmse[name].se,
-            "above_percent": above[name][0].value, "above_se": above[name][0].se,
-            "above_low": above[name][1][0], "above_high": above[name][1][1], "share_ok": ok[name],
+            "setting": setting,
+            "rank": i + 1,
+            "estimator": name,
+            "metric": metric,
+            "over": unit,
+            "n": n,
+            "rmse_m": rmse[name].value,
+            "rmse_se": rmse[name].se,
+            "above_percent": above[name][0].value,
+            "above_se": above[name][0].se,
+            "above_low": above[name][1][0],
+            "above_high": above[name][1][1],
+            "share_ok": ok[name],
         }
         for i, name in enumerate(order)
-    ]  # fmt: skip
+    ]

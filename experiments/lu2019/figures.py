@@ -59,11 +59,15 @@ def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     x, y = (np.concatenate([walls[f"{c}_m"], walls[f"{c}1_m"]]) for c in "xy")
     step = np.linalg.norm(np.diff(route[["x_m", "y_m"]], axis=0), axis=1) / frame["step_s"].iloc[0]
     found = {
-        "length_m": float(np.ptp(x)), "width_m": float(np.ptp(y)), "an_height_m": float(an["z_m"].mean()),
-        "speed_m_s": float(np.median(step)), "z_start_m": float(route["z_m"].iloc[0]),
-        "z_end_m": float(route["z_m"].iloc[-1]), "least_line_of_sight": float(route["line_of_sight"].min()),
+        "length_m": float(np.ptp(x)),
+        "width_m": float(np.ptp(y)),
+        "an_height_m": float(an["z_m"].mean()),
+        "speed_m_s": float(np.median(step)),
+        "z_start_m": float(route["z_m"].iloc[0]),
+        "z_end_m": float(route["z_m"].iloc[-1]),
+        "least_line_of_sight": float(route["line_of_sight"].min()),
         "per_25_m2": 25 * len(an) / float(frame["area_m2"].iloc[0]),
-    }  # fmt: skip
+    }
     return {f"fig2/{name}": Estimate(value, 0.0) for name, value in found.items()}
 
 
@@ -101,7 +105,7 @@ def fig3_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def fig4(frame: pd.DataFrame) -> Figure:
-    """RMSE in space and in height and rate of divergence against the uncertainty [Lu 2019, Fig. 4]."""
+    """RMSE in space and height and divergence rate against the uncertainty [Lu 2019, Fig. 4]."""
     figure, axes = new(PAGE, 5.6, rows=3, cols=2, sharex=True, sharey="row")
     for column, (kind, title) in zip(axes.T, KINDS.items()):
         for name, label in NAMES.items():

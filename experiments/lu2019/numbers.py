@@ -34,11 +34,13 @@ def table1(scale: str) -> pd.DataFrame:
     """Pilot parameters as the preset has them; the bandwidth follows from two of them."""
     noise = _cell().noise
     rows = [
-        ("carrier_ghz", noise.carrier_ghz), ("subcarrier_khz", noise.subcarrier_khz),
+        ("carrier_ghz", noise.carrier_ghz),
+        ("subcarrier_khz", noise.subcarrier_khz),
         ("subcarriers", noise.subcarriers),
-        ("bandwidth_mhz", 1e-3 * noise.subcarrier_khz * noise.subcarriers), ("power_dbm", noise.power_dbm),
+        ("bandwidth_mhz", 1e-3 * noise.subcarrier_khz * noise.subcarriers),
+        ("power_dbm", noise.power_dbm),
         ("array_gain_db", noise.array_gain_db),
-    ]  # fmt: skip
+    ]
     return pd.DataFrame(
         [(name, float(value)) for name, value in rows], columns=["quantity", "value"]
     )
@@ -141,13 +143,15 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
                 "trials": len(d3),
             }
             for key, estimate in {
-                "rmse_3d": statistics.pooled_rmse(d3), "rmse_z": statistics.pooled_rmse(dz),
-                "kept_3d": statistics.pooled_rmse(d3[~diverged]), "kept_z": statistics.pooled_rmse(dz[~diverged]),
+                "rmse_3d": statistics.pooled_rmse(d3),
+                "rmse_z": statistics.pooled_rmse(dz),
+                "kept_3d": statistics.pooled_rmse(d3[~diverged]),
+                "kept_z": statistics.pooled_rmse(dz[~diverged]),
                 "diverged": statistics.rate(int(diverged.sum()), len(d3)),
                 "median_3d": statistics.quantile(d3, 0.5),
                 "above_wcg": statistics.paired(d3, wide["rmse_3d_m"]["wcg"]).percent,
                 "above_wcg_z": statistics.paired(dz, wide["rmse_z_m"]["wcg"]).percent,
-            }.items():  # fmt: skip
+            }.items():
                 row |= {key: estimate.value, f"{key}_se": estimate.se}
             rows.append(row)
     for kind, group in runs.groupby("noise.an_error"):
@@ -272,11 +276,18 @@ def errata(runs: pd.DataFrame) -> pd.DataFrame:
         middle = statistics.quantile(rmse, 0.5)
         rows.append(
             {
-                "an_sigma_m": sigma, "estimator": name, "variant": variant, "trials": len(rmse),
-                "rmse_m": pooled.value, "rmse_se": pooled.se, "median_m": middle.value, "median_se": middle.se,
-                "diverged": diverged.value, "diverged_se": diverged.se,
+                "an_sigma_m": sigma,
+                "estimator": name,
+                "variant": variant,
+                "trials": len(rmse),
+                "rmse_m": pooled.value,
+                "rmse_se": pooled.se,
+                "median_m": middle.value,
+                "median_se": middle.se,
+                "diverged": diverged.value,
+                "diverged_se": diverged.se,
             }
-        )  # fmt: skip
+        )
     return pd.DataFrame(rows).sort_values(["an_sigma_m", "estimator", "variant"], ignore_index=True)
 
 

@@ -93,14 +93,25 @@ def fig2(frame: pd.DataFrame) -> Figure:
         axis.plot(0, 0, "P", color="black", ms=6, label="anchor (pole axis through it)")
         for r in shown[shown["method"] != "exact"].itertuples():
             axis.plot(
-                [prior[u], getattr(r, u)], [prior[v], getattr(r, v)], styles[r.method], color=COLOURS[r.model],
-                marker=MARKERS[r.model], markevery=[1], label=f"{r.method.upper()}-{LABELS[r.model]}",
-            )  # fmt: skip
+                [prior[u], getattr(r, u)],
+                [prior[v], getattr(r, v)],
+                styles[r.method],
+                color=COLOURS[r.model],
+                marker=MARKERS[r.model],
+                markevery=[1],
+                label=f"{r.method.upper()}-{LABELS[r.model]}",
+            )
         for r in shown[shown["method"] == "exact"].itertuples():
             axis.plot(
-                getattr(r, u), getattr(r, v), "*", color=COLOURS[r.model], ms=10, mec="black", mew=0.6,
+                getattr(r, u),
+                getattr(r, v),
+                "*",
+                color=COLOURS[r.model],
+                ms=10,
+                mec="black",
+                mew=0.6,
                 label=f"exact, {LABELS[r.model]}",
-            )  # fmt: skip
+            )
         axis.plot(prior[u], prior[v], "o", mfc="white", mec="black", ms=6, label="prior mean")
         axis.set(xlabel=f"{u[0]} [m]", ylabel=f"{v[0]} [m]")
         axis.set_aspect("equal", adjustable="datalim")
@@ -178,9 +189,14 @@ def fig3(frame: pd.DataFrame) -> Figure:
         for model in ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf"):
             track = rows[rows["kind"] == f"pf_{model}"]
             axis.plot(
-                track["x_m"], track["y_m"], color=COLOURS[model], marker=MARKERS[model], ms=2.5, lw=0.8,
+                track["x_m"],
+                track["y_m"],
+                color=COLOURS[model],
+                marker=MARKERS[model],
+                ms=2.5,
+                lw=0.8,
                 label=f"PF-{LABELS[model]}",
-            )  # fmt: skip
+            )
         anchors = rows[rows["kind"] == "anchor"]
         axis.quiver(
             anchors["x_m"], anchors["y_m"], anchors["pole_x"], anchors["pole_y"],
@@ -255,9 +271,15 @@ def layouts(frame: pd.DataFrame) -> Figure:
                 .loc[names]
             )
             axis.errorbar(
-                rows["above_pf_vmf_percent"], np.arange(len(names)) + 0.15 - 0.3 * k, xerr=3 * rows["above_pf_vmf_se"],
-                fmt=marker, ms=3, capsize=1.5, elinewidth=0.8, label=TITLES[noise],
-            )  # fmt: skip
+                rows["above_pf_vmf_percent"],
+                np.arange(len(names)) + 0.15 - 0.3 * k,
+                xerr=3 * rows["above_pf_vmf_se"],
+                fmt=marker,
+                ms=3,
+                capsize=1.5,
+                elinewidth=0.8,
+                label=TITLES[noise],
+            )
         axis.axvline(0, color="black", lw=0.8, ls=":")
         axis.set_title(layout.removeprefix("square_track").removeprefix("_") or "base")
         axis.set_yticks(range(len(names)), [_label(n) for n in names])
@@ -287,9 +309,15 @@ def adaptivity(frame: pd.DataFrame) -> Figure:
             )
             rows = rows.loc[kinds[::-1]]
             axis.errorbar(
-                rows["above_percent"], np.arange(len(kinds)) + 0.15 - 0.3 * k, xerr=3 * rows["above_se"],
-                fmt=marker, ms=3, capsize=1.5, elinewidth=0.8, label=TITLES[noise],
-            )  # fmt: skip
+                rows["above_percent"],
+                np.arange(len(kinds)) + 0.15 - 0.3 * k,
+                xerr=3 * rows["above_se"],
+                fmt=marker,
+                ms=3,
+                capsize=1.5,
+                elinewidth=0.8,
+                label=TITLES[noise],
+            )
         axis.axvline(0, color="black", lw=0.8, ls=":")
         axis.set_title(layout.removeprefix("square_track").removeprefix("_") or "base")
         axis.set_yticks(
@@ -321,9 +349,15 @@ def particles(frame: pd.DataFrame) -> Figure:
         for model in ("vmf", "ae_adaptive", "ae_fitted", "ae_nominal"):
             rows = frame[(frame["noise"] == noise) & (frame["estimator"] == f"pf_{model}")]
             axis.errorbar(
-                rows["particles"], rows["rmse_mean_3d_m"], yerr=3 * rows["se_m"],
-                color=COLOURS[model], marker=MARKERS[model], capsize=2, elinewidth=0.8, label=f"PF-{LABELS[model]}",
-            )  # fmt: skip
+                rows["particles"],
+                rows["rmse_mean_3d_m"],
+                yerr=3 * rows["se_m"],
+                color=COLOURS[model],
+                marker=MARKERS[model],
+                capsize=2,
+                elinewidth=0.8,
+                label=f"PF-{LABELS[model]}",
+            )
         axis.set_title(TITLES[noise])
         axis.set(xlabel="particles", xscale="log")
     axes[0].set(ylabel="mean 3-D RMSE [m]", ylim=(0, None))
