@@ -44,7 +44,7 @@ lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
 
 bench: $(VENV)/.bench
-	@$(BIN)/python -m aoabench.bench
+	@$(BIN)/python -m benchmarks
 
 $(VENV)/.bench: $(READY)
 	@echo "adding the libraries that the bench compares with ..."

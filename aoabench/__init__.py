@@ -11,16 +11,9 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from aoabench.types import (
-    Anchors,
-    Batch,
-    Estimates,
-    Estimator,
-    Measurements,
-    Outcome,
-    RunError,
-    UserError,
-)
+from aoabench.errors import RunError, UserError
+from aoabench.roles import Estimator
+from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,8 +51,8 @@ def run(
     folder of the tables (runner.out). Raises UserError for a mistake in the input, RunError for
     what stopped the run on its way.
     """
-    from aoabench import runner
-    from aoabench.composing import compose_cells
+    from aoabench.config.compose import compose_cells
+    from aoabench.engine import runner
 
     given = [*overrides, *([f"runner.out={os.fspath(out)}"] if out is not None else [])]
     cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
@@ -74,7 +67,7 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """One row per cell x estimator x replication of the run in folder `out`, with a column per
     swept parameter.
     """
-    from aoabench import tables
+    from aoabench.store import tables
 
     return tables.load(out)
 
@@ -86,8 +79,8 @@ def compare(
 
     Each row holds the change against `baseline` (none: the smallest mean of each cell) with its
     interval, the p-value by Holm's method over the table, and the line that says it. See
-    `comparing.compare` for the columns.
+    `store.compare.compare` for the columns.
     """
-    from aoabench import comparing
+    from aoabench.store import compare as compare_module
 
-    return comparing.compare(run, baseline, metric)
+    return compare_module.compare(run, baseline, metric)

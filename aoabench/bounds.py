@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from aoabench.geometry import Array, in_frames
+from aoabench.maths.geometry import Array, in_frames
 from aoabench.types import Anchors
 
 WHOLE = 1e-12  # an information matrix whose eigenvalues differ by more has no inverse to speak of

@@ -12,9 +12,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench.geometry import LIGHT, to_unit
+from aoabench.errors import BadValue
+from aoabench.maths.geometry import LIGHT, to_unit
 from aoabench.streams import Streams
-from aoabench.types import BadValue, Batch, Estimates, Outcome
+from aoabench.types import Batch, Estimates, Outcome
 
 
 @dataclass(frozen=True)

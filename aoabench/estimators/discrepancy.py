@@ -18,17 +18,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from aoabench import kernels
+from aoabench.errors import BadValue, check_choice, check_number
 from aoabench.estimators import ellipses
-from aoabench.estimators.anchors import clipped, plane_of
-from aoabench.geometry import Array, to_unit
+from aoabench.estimators.plane import clipped, plane_of
+from aoabench.kernels import loading
+from aoabench.maths.geometry import Array, to_unit
 from aoabench.streams import Streams
-from aoabench.types import Anchors, BadValue, Batch, Estimates, Outcome, check_choice, check_number
+from aoabench.types import Anchors, Batch, Estimates, Outcome
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.estimators import discrepancy_kernels  # noqa: F401
+    from aoabench.kernels import discrepancy  # noqa: F401
 
-KERNELS = "estimators.discrepancy_kernels"
+KERNELS = "kernels.discrepancy"
 CENTRES = ("midpoint", "estimate")
 INTERSECTIONS = ("boxes", "exact")
 TIES = ("area", "first")
@@ -79,7 +80,7 @@ class Discrepancy:
             if not isinstance(getattr(self, name), bool):
                 raise BadValue(name, getattr(self, name), "true or false")
         check_number("height_m", self.height_m, optional=True)
-        kernels.check_engine(self.engine)
+        loading.check_engine(self.engine)
 
     def check(self, scenario: Any) -> None:
         """Raise BadValue where the scenario leaves the plane open or has more anchors than the vote
@@ -95,7 +96,7 @@ class Discrepancy:
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
         if self.engine == "auto":
-            kernels.prepare(KERNELS, say)
+            loading.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """One position per fix; `rejected` where fewer than two ellipses agree, `failed` where no
@@ -103,7 +104,7 @@ class Discrepancy:
         """
         self.check(scenario)
         height = plane_of(self.height_m, scenario)
-        compiled = kernels.load(KERNELS) if self.engine == "auto" else None
+        compiled = loading.load(KERNELS) if self.engine == "auto" else None
         R, T, _ = batch.azimuth.shape
         found = (
             np.empty((R, T, 3)),

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from aoabench.geometry import Array
+from aoabench.maths.geometry import Array
 
 TOUCH = 1e-9  # what rounding may take from a level of 1: sets that touch have a point in common
 GRID = np.linspace(-np.pi, np.pi, 17)

@@ -20,17 +20,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from aoabench import kernels
-from aoabench.geometry import Array
+from aoabench.errors import check_choice
+from aoabench.kernels import loading
+from aoabench.maths.geometry import Array
 from aoabench.streams import Streams
-from aoabench.types import Batch, Estimates, Outcome, check_choice
+from aoabench.types import Batch, Estimates, Outcome
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.estimators import snapshot_kernels  # noqa: F401
+    from aoabench.kernels import snapshot  # noqa: F401
+from aoabench.maths.linalg import SINGULAR, solve
 
-KERNELS = "estimators.snapshot_kernels"
+KERNELS = "kernels.snapshot"
+
+
 ROWS = ("printed", "invariant")
-SINGULAR = 1e-12  # a pivot that lost more than this of its diagonal element
 
 
 @dataclass(frozen=True)
@@ -43,16 +46,16 @@ class LeastSquares:
 
     def __post_init__(self) -> None:
         check_choice("rows", self.rows, ROWS)
-        kernels.check_engine(self.engine)
+        loading.check_engine(self.engine)
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
         if self.engine == "auto":
-            kernels.prepare(KERNELS, say)
+            loading.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """One position per fix; `failed` where the equations do not determine one."""
-        compiled = kernels.load(KERNELS) if self.engine == "auto" else None
+        compiled = loading.load(KERNELS) if self.engine == "auto" else None
         if compiled is None:
             position = planes(batch, self.rows)
         else:
@@ -143,21 +146,3 @@ def planes(batch: Batch, rows: str = "printed") -> Array:
     n, m2 = used.sum(axis=-1), (s**2).sum(axis=(-1, -2))
     apart = n * m2 - (s.sum(axis=-2) ** 2).sum(axis=-1)
     return np.where((apart > SINGULAR * n * m2)[..., None], solve(A, g) + centre, np.nan)
-
-
-def solve(A: Array, g: Array) -> Array:
-    """A^-1 g, A symmetric (..., 3, 3), g (..., 3), by Cholesky; NaN where a pivot vanishes."""
-    d0 = A[..., 0, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        l10, l20 = A[..., 1, 0] / d0, A[..., 2, 0] / d0
-        d1 = A[..., 1, 1] - l10 * A[..., 1, 0]
-        e = A[..., 2, 1] - l20 * A[..., 1, 0]
-        l21 = e / d1
-        d2 = A[..., 2, 2] - l20 * A[..., 2, 0] - l21 * e
-        y1 = g[..., 1] - l10 * g[..., 0]
-        y2 = g[..., 2] - l20 * g[..., 0] - l21 * y1
-        z = y2 / d2
-        y = y1 / d1 - l21 * z
-        x = g[..., 0] / d0 - l10 * y - l20 * z
-    sound = (d0 > 0) & (d1 > SINGULAR * A[..., 1, 1]) & (d2 > SINGULAR * A[..., 2, 2])
-    return np.where(sound[..., None], np.stack([x, y, z], axis=-1), np.nan)

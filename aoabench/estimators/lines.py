@@ -18,11 +18,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench.estimators.anchors import clipped, directions
-from aoabench.estimators.least_squares import solve
-from aoabench.geometry import Array
+from aoabench.errors import check_number
+from aoabench.estimators.plane import clipped, directions
+from aoabench.maths.geometry import Array
+from aoabench.maths.linalg import solve
 from aoabench.streams import Streams
-from aoabench.types import Batch, Estimates, Outcome, check_number
+from aoabench.types import Batch, Estimates, Outcome
 
 
 def projectors(batch: Batch) -> tuple[Array, np.ndarray]:

@@ -24,11 +24,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench import kernels
-from aoabench.estimators.least_squares import KERNELS, ROWS, by_kernel, measured, planes, solve
-from aoabench.geometry import Array
+from aoabench.errors import check_choice, check_number
+from aoabench.estimators.least_squares import KERNELS, ROWS, by_kernel, measured, planes
+from aoabench.kernels import loading
+from aoabench.maths.geometry import Array
+from aoabench.maths.linalg import solve
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates, Outcome, check_choice, check_number
+from aoabench.types import Anchors, Batch, Estimates, Outcome
 
 AZIMUTHS = ("arctan", "atan2", "kcorr")
 PRINTED = ("sign", "atan2")  # errata that can be run as printed: L1 and L2
@@ -58,16 +60,16 @@ class GaussNewton:
         check_number("updates", self.updates, least=1, most=1_000_000, integer=True)
         if self.as_printed is not None:
             check_choice("as_printed", self.as_printed, PRINTED)
-        kernels.check_engine(self.engine)
+        loading.check_engine(self.engine)
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
         if self.engine == "auto":
-            kernels.prepare(KERNELS, say)
+            loading.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """One position per fix, the number of updates, and what became of the iteration."""
-        compiled = kernels.load(KERNELS) if self.engine == "auto" else None
+        compiled = loading.load(KERNELS) if self.engine == "auto" else None
         if compiled is not None:
             variant = (
                 AZIMUTHS.index(self.azimuth),

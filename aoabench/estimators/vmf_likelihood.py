@@ -17,12 +17,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench.estimators.anchors import clipped, directions, known_height, plane_of
-from aoabench.estimators.least_squares import solve
+from aoabench.errors import BadValue, check_number
 from aoabench.estimators.lines import nearest_point
-from aoabench.geometry import Array
+from aoabench.estimators.plane import clipped, directions, known_height, plane_of
+from aoabench.maths.geometry import Array
+from aoabench.maths.linalg import solve
 from aoabench.streams import Streams
-from aoabench.types import BadValue, Batch, Estimates, Outcome, check_number
+from aoabench.types import Batch, Estimates, Outcome
 
 FREE = "free"
 

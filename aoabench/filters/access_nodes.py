@@ -21,16 +21,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from aoabench import kernels
-from aoabench.filters.kernels import innovations
-from aoabench.geometry import LIGHT, Array, wrap
+from aoabench.errors import BadValue, check_choice
+from aoabench.filters.trace import innovations
+from aoabench.kernels import loading
+from aoabench.maths.geometry import LIGHT, Array, wrap
 from aoabench.streams import Streams
-from aoabench.types import Anchors, BadValue, Batch, Estimates, Outcome, check_choice
+from aoabench.types import Anchors, Batch, Estimates, Outcome
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.filters import access_node_kernels  # noqa: F401
+    from aoabench.kernels import access_nodes  # noqa: F401
 
-KERNELS = "filters.access_node_kernels"
+KERNELS = "kernels.access_nodes"
 PRINTED = ("jacobian", "wrap", "shared", "cross")
 RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
@@ -58,12 +59,12 @@ class AccessNodeEKF:
             raise BadValue("as_printed", self.as_printed, f"a list of {', '.join(PRINTED)}")
         for flag in self.as_printed:
             check_choice("as_printed", flag, PRINTED)
-        kernels.check_engine(self.engine)
+        loading.check_engine(self.engine)
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
         if self.engine == "auto":
-            kernels.prepare(KERNELS, say)
+            loading.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
@@ -83,7 +84,7 @@ class AccessNodeEKF:
         y, q, heard = self.measured(batch)
         sigma = batch.anchors.position_sigma
         C = np.zeros((batch.azimuth.shape[2], 3)) if sigma is None else np.square(sigma[0])
-        compiled = kernels.load(KERNELS) if self.engine == "auto" else None
+        compiled = loading.load(KERNELS) if self.engine == "auto" else None
         recursion = self._recursion if compiled is None else compiled.run
         flags = tuple(name in self.as_printed for name in PRINTED)
         position, covariance = recursion(

@@ -19,25 +19,20 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from aoabench import kernels
-from aoabench.filters.kernels import innovations, kind_of, variances
-from aoabench.geometry import Array
+from aoabench.errors import BadValue, check_choice, check_number
+from aoabench.filters.compiled import kind_of, variances
+from aoabench.filters.trace import innovations
+from aoabench.kernels import loading
+from aoabench.maths.geometry import Array
+from aoabench.roles import Measurement
 from aoabench.streams import Streams
-from aoabench.types import (
-    Anchors,
-    BadValue,
-    Batch,
-    Estimates,
-    Measurement,
-    Outcome,
-    check_choice,
-    check_number,
-)
+from aoabench.types import Anchors, Batch, Estimates, Outcome
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.filters import kalman_kernels  # noqa: F401
+    from aoabench.kernels import kalman  # noqa: F401
+from aoabench.maths.linalg import cholesky
 
-KERNELS = "filters.kalman_kernels"
+KERNELS = "kernels.kalman"
 
 
 @dataclass(frozen=True)
@@ -54,12 +49,12 @@ class _Kalman:
     tile: ClassVar[int] = 128
 
     def __post_init__(self) -> None:
-        kernels.check_engine(self.engine)
+        loading.check_engine(self.engine)
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
         if self.kernel() is not None:
-            kernels.prepare(KERNELS, say)
+            loading.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
@@ -70,7 +65,7 @@ class _Kalman:
         F, Q = scenario.motion.matrices(scenario.dt)
         Y, quality = self.measurement.observe(batch)
         kernel = self.kernel()
-        compiled = None if kernel is None else kernels.load(KERNELS)
+        compiled = None if kernel is None else loading.load(KERNELS)
         if kernel is None or compiled is None:
             position, covariance = self._recursion(batch, batch.prior_cov, F, Q, Y, quality)
         else:
@@ -263,19 +258,3 @@ def weigh(residual: Array, variance: Array) -> tuple[Array, Array]:
     """Residuals and inverse variances, both 0 where a component is not measured (NaN)."""
     missing = np.isnan(residual)
     return np.where(missing, 0.0, residual), np.where(missing, 0.0, 1.0 / variance)
-
-
-def cholesky(A: Array) -> Array:
-    """Lower factor (..., n, n) of each A (..., n, n); NaN where A is not positive definite.
-
-    numpy's own raises for the whole stack when a single matrix is not.
-    """
-    n = A.shape[-1]
-    L = np.zeros_like(A)
-    for j in range(n):
-        row = L[..., j, :j]
-        pivot = A[..., j, j] - (row * row).sum(-1)
-        L[..., j, j] = root = np.sqrt(np.where(pivot > 0, pivot, np.nan))
-        for i in range(j + 1, n):
-            L[..., i, j] = (A[..., i, j] - (L[..., i, :j] * row).sum(-1)) / root
-    return L

@@ -8,7 +8,7 @@ Weights live as logarithms: kappa = 1e6 and many steps without resampling do not
 and where 1 / sum_i (w_k^i)^2 < `resample_below` N, the particles are resampled systematically.
 
 `ParticleFilter` has it twice: as the readable reference in NumPy and double precision, and as a
-compiled kernel in single precision (`particle_kernels.py`) for the measurement models that name
+compiled kernel in single precision (`kernels/particle.py`) for the measurement models that name
 one.
 """
 
@@ -22,16 +22,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from aoabench import kernels
-from aoabench.filters.kernels import KINDS, innovations, kind_of, variances
-from aoabench.geometry import Array
+from aoabench.errors import BadValue, check_number
+from aoabench.filters.compiled import KINDS, kind_of, variances
+from aoabench.filters.trace import innovations
+from aoabench.kernels import loading
+from aoabench.maths.geometry import Array
+from aoabench.roles import Measurement
 from aoabench.streams import PARTICLES, Streams
-from aoabench.types import Anchors, BadValue, Batch, Estimates, Measurement, Outcome, check_number
+from aoabench.types import Anchors, Batch, Estimates, Outcome
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.filters import particle_kernels  # noqa: F401
+    from aoabench.kernels import particle  # noqa: F401
 
-KERNELS = "filters.particle_kernels"
+KERNELS = "kernels.particle"
 SHARED_BYTES = (
     2**26
 )  # the normals of one replication are kept for the next filter if they fit into this
@@ -58,12 +61,12 @@ class ParticleFilter:
     def __post_init__(self) -> None:
         check_number("particles", self.particles, least=1, most=10_000_000, integer=True)
         check_number("resample_below", self.resample_below, least=0, most=1)
-        kernels.check_engine(self.engine, ("double",))
+        loading.check_engine(self.engine, ("double",))
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile what is needed, before others work in parallel."""
         if kind_of(self.measurement, self.engine) is not None:
-            kernels.prepare(KERNELS, say)
+            loading.prepare(KERNELS, say)
 
     def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
         """Posterior means (R, T, 3) m and covariances (R, T, 3, 3) m^2.
@@ -106,7 +109,7 @@ class ParticleFilter:
         Y, quality = self.measurement.observe(batch)
         F, Q = scenario.motion.matrices(scenario.dt)
         kind = kind_of(self.measurement, self.engine) if len(F) == 3 else None
-        compiled = None if kind is None else kernels.load(KERNELS)
+        compiled = None if kind is None else loading.load(KERNELS)
         found = []
         for i in range(len(Y)):
             given = batch, i, F, Q, Y[i], quality[i]
@@ -218,7 +221,7 @@ class ParticleFilter:
         by as much as two filters with different seeds.
         """
         kind = kind_of(self.measurement) if len(F) == 3 else None
-        compiled = None if kind is None else kernels.load(KERNELS)
+        compiled = None if kind is None else loading.load(KERNELS)
         if kind is None or compiled is None:
             raise BadValue(
                 "engine", "double", "auto or numpy where there is no kernel, or no numba"
@@ -296,7 +299,7 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
     """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal
     variances (T, m).
 
-    See `particle_kernels.loglik`; what is not measured (NaN) gets the weight 0.
+    See `kernels.particle.loglik`; what is not measured (NaN) gets the weight 0.
     """
     s, R = anchors.position[0] - origin, anchors.rotation[0]
     B = len(s)

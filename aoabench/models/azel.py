@@ -13,10 +13,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench.directional import flipped_azimuth_std, flipped_elevation_moments
-from aoabench.geometry import Array, in_frames, rotations_for, to_azel, wrap
+from aoabench.errors import BadValue, check_choice, check_number
+from aoabench.maths.directional import flipped_azimuth_std, flipped_elevation_moments
+from aoabench.maths.geometry import Array, in_frames, rotations_for, to_azel, wrap
 from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
-from aoabench.types import Anchors, BadValue, Batch, check_choice, check_number
+from aoabench.types import Anchors, Batch
 
 _RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative on the pole axis, where it is undefined
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from aoabench.geometry import Array
+from aoabench.maths.geometry import Array
 
 
 def interleave(parts: Sequence[Array]) -> Array:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.geometry import Array
-from aoabench.types import check_number
+from aoabench.errors import check_number
+from aoabench.maths.geometry import Array
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from aoabench.directional import kappa_from_sigma, vmf_log_peak
-from aoabench.geometry import Array, in_frames, rotations_for, to_unit
+from aoabench.errors import BadValue, check_number
+from aoabench.maths.directional import kappa_from_sigma, vmf_log_peak
+from aoabench.maths.geometry import Array, in_frames, rotations_for, to_unit
 from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
-from aoabench.types import Anchors, BadValue, Batch, check_number
+from aoabench.types import Anchors, Batch
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from aoabench import bounds
-from aoabench.directional import (
+from aoabench.errors import BadValue, check_number
+from aoabench.maths.directional import (
     flip,
     flipped_azimuth_std,
     flipped_elevation_moments,
     sigma_from_kappa,
     vmf_sample,
 )
-from aoabench.geometry import Array, in_frames, to_azel, to_unit, wrap
-from aoabench.types import Anchors, BadValue, Measurements, check_number
+from aoabench.maths.geometry import Array, in_frames, to_azel, to_unit, wrap
+from aoabench.types import Anchors, Measurements
 
 
 @dataclass(frozen=True)

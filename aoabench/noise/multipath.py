@@ -27,9 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from aoabench.directional import flip
-from aoabench.geometry import Array, to_azel
-from aoabench.types import BadValue, Measurements, check_array, check_number
+from aoabench.errors import BadValue, check_array, check_number
+from aoabench.maths.directional import flip
+from aoabench.maths.geometry import Array, to_azel
+from aoabench.types import Measurements
 
 _WAVES = 32  # plane waves that make up a field
 

@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from aoabench.geometry import LIGHT, Array, in_frames, to_azel, wrap
-from aoabench.types import Anchors, BadValue, Measurements, check_choice, check_number
+from aoabench.errors import BadValue, check_choice, check_number
+from aoabench.maths.geometry import LIGHT, Array, in_frames, to_azel, wrap
+from aoabench.types import Anchors, Measurements
 
 PRINTED = ("gain",)  # errata that can be run as printed
 NEAREST = 1.0  # m; the path loss model does not know anything nearer

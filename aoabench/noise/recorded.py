@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from aoabench.geometry import Array
+from aoabench.maths.geometry import Array
 from aoabench.types import Measurements
 
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench import store
 from aoabench.report import plots
+from aoabench.store.files import read_provenance, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,7 +118,7 @@ def write(
             optimize=True,
         )
 
-    store.write_atomically(path, save)
+    write_atomically(path, save)
     return path
 
 
@@ -141,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("results/figures/track.gif"))
     given = parser.parse_args(arguments)
     traces = {path.stem.split("-")[1]: pd.read_parquet(path) for path in given.traces}
-    anchors = store.read_provenance(given.traces[0])["config"]["scenario"]["anchors"]
+    anchors = read_provenance(given.traces[0])["config"]["scenario"]["anchors"]
     path = write(traces, anchors, given.out)
     print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench import tables
 from aoabench.report import plots
+from aoabench.store import fixes as fixes_module
 from aoabench.types import Outcome
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def write(
         return []
     errors = {}
     for name in estimators:
-        fixes = tables.fixes(out, cell, name)
+        fixes = fixes_module.fixes(out, cell, name)
         given = ~np.isin(fixes.outcome, [Outcome.FAILED, Outcome.REJECTED])
         errors[name] = np.where(given, fixes.error_xy_m, np.nan)[:, known].astype(float)
     points, place = places(truth[known])

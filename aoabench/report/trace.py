@@ -30,7 +30,7 @@ def figure(
     walls: np.ndarray | None = None,
     moving: bool = True,
 ) -> Figure:
-    """Plan and errors of a trace (see `replaying.replay`), below them innovations and effective
+    """Plan and errors of a trace (see `engine.replay.replay`), below them innovations and effective
     particles, if any.
 
     anchors (B, 3) m, walls (W, 2, 2) m or None; `moving`: the positions are one way, not separate

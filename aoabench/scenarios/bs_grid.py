@@ -10,9 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from aoabench.geometry import Array
+from aoabench.errors import UserError, check_array, check_choice, check_number
+from aoabench.maths.geometry import Array
 from aoabench.scenarios.layout import AnchorLayout
-from aoabench.types import Anchors, UserError, check_array, check_choice, check_number
+from aoabench.types import Anchors
 
 ZONES = ("strip", "disc", "ring", "none")
 

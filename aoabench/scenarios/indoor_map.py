@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from aoabench.geometry import Array
+from aoabench.devices import plan
+from aoabench.errors import BadValue, check_array, check_choice, check_number
+from aoabench.maths.geometry import Array
 from aoabench.models.motion import ConstantAcceleration
-from aoabench.scenarios import plan
 from aoabench.scenarios.route import RoundedRoute
-from aoabench.types import Anchors, BadValue, check_array, check_choice, check_number
+from aoabench.types import Anchors
 
 MOST_STEPS = 1_000_000
 

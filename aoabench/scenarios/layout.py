@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.geometry import euler, facing
-from aoabench.types import Anchors, BadValue, check_array
+from aoabench.errors import BadValue, check_array
+from aoabench.maths.geometry import euler, facing
+from aoabench.types import Anchors
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,11 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from aoabench.config import did_you_mean
-from aoabench.geometry import Array, wrap
+from aoabench.devices.longtable import Table, header, read_anchors
+from aoabench.errors import BadValue, check_array, check_choice, check_number, did_you_mean
+from aoabench.maths.geometry import Array, wrap
 from aoabench.scenarios.layout import AnchorLayout
-from aoabench.scenarios.longtable import Table, header, read_anchors
-from aoabench.types import Anchors, BadValue, Measurements, check_array, check_choice, check_number
+from aoabench.types import Anchors, Measurements
 
 TURN = {"deg": 360.0, "rad": 2 * np.pi}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}

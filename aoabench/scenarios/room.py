@@ -11,9 +11,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from aoabench.geometry import Array
+from aoabench.errors import UserError, check_array, check_number
+from aoabench.maths.geometry import Array
 from aoabench.scenarios.layout import AnchorLayout
-from aoabench.types import Anchors, UserError, check_array, check_number
+from aoabench.types import Anchors
 
 
 @dataclass(frozen=True)

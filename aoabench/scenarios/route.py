@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.geometry import Array, wrap
-from aoabench.types import BadValue, check_array
+from aoabench.errors import BadValue, check_array
+from aoabench.maths.geometry import Array, wrap
 
 
 @dataclass(frozen=True)

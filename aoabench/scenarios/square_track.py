@@ -10,10 +10,11 @@ from math import gamma
 
 import numpy as np
 
-from aoabench.geometry import Array
+from aoabench.errors import check_number
+from aoabench.maths.geometry import Array
 from aoabench.models.motion import RandomWalk
 from aoabench.scenarios.layout import AnchorLayout
-from aoabench.types import Anchors, check_number
+from aoabench.types import Anchors
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,13 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
 
-from aoabench import store
-from aoabench.composing import compose_cells
+from aoabench import resources
+from aoabench.config.compose import compose_cells
+from aoabench.engine.block import run_block
 from aoabench.estimators.discrepancy import Discrepancy
-from aoabench.montecarlo import run_block
 from aoabench.noise.multipath import BleMultipath
-from aoabench.report import study
-from aoabench.tables import Fixes
+from aoabench.store.fixes import Fixes
+from aoabench.studies import study
 
 numbers = study.load("boquet2024").numbers
 FIT_SEED, FRESH_SEED = 2024, 1
@@ -179,7 +179,7 @@ def _shipped() -> dict[str, Any]:
 
 
 def _write(values: dict[str, float]) -> None:
-    path = store.shipped("configs") / "noise" / "ble_multipath.yaml"
+    path = resources.shipped("configs") / "noise" / "ble_multipath.yaml"
     text = path.read_text(encoding="utf-8")
     values = dict(values)
     lists = {name: "[" + ", ".join(f"{v:g}" for v in _list(values, name)) + "]" for name in LISTS}

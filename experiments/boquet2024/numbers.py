@@ -18,13 +18,14 @@ import pandas as pd
 import yaml
 from scipy import optimize
 
-from aoabench import bounds, statistics
-from aoabench.composing import compose_cells
-from aoabench.estimators.anchors import on_plane
-from aoabench.geometry import in_frames, to_azel, to_unit, wrap
-from aoabench.montecarlo import Draws, estimate_tile
-from aoabench.statistics import Estimate
-from aoabench.tables import Fixes
+from aoabench import bounds
+from aoabench.config.compose import compose_cells
+from aoabench.engine.tiles import Draws, estimate_tile
+from aoabench.estimators.plane import on_plane
+from aoabench.maths import statistics
+from aoabench.maths.geometry import in_frames, to_azel, to_unit, wrap
+from aoabench.maths.statistics import Estimate
+from aoabench.store.fixes import Fixes
 from aoabench.types import Anchors
 
 Runs = Iterable[tuple[Any, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators

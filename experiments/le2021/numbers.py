@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from aoabench import bounds, statistics
-from aoabench.composing import compose_cells
-from aoabench.montecarlo import Draws, estimate_tile
-from aoabench.statistics import Estimate
-from aoabench.tables import Fixes
+from aoabench import bounds
+from aoabench.config.compose import compose_cells
+from aoabench.engine.tiles import Draws, estimate_tile
+from aoabench.maths import statistics
+from aoabench.maths.statistics import Estimate
+from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 
 Runs = Iterable[tuple[Any, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators

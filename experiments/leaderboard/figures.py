@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench.report.plots import PAGE, new
-from aoabench.report.study import number_text
+from aoabench.report.text import number_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from aoabench import statistics
-from aoabench.statistics import Estimate, normal_quantile
-from aoabench.tables import Fixes
+from aoabench.maths import statistics
+from aoabench.maths.intervals import normal_quantile
+from aoabench.maths.statistics import Estimate
+from aoabench.store.fixes import Fixes
 
 
 def square_track(frame: pd.DataFrame) -> pd.DataFrame:

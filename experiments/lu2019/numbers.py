@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from aoabench import metrics, statistics
-from aoabench.composing import compose_cells
-from aoabench.geometry import LIGHT
-from aoabench.montecarlo import Draws, estimate_tile, time_estimators
+from aoabench.config.compose import compose_cells
+from aoabench.engine import metrics
+from aoabench.engine.tiles import Draws, estimate_tile
+from aoabench.engine.timing import time_estimators
+from aoabench.maths import statistics
+from aoabench.maths.geometry import LIGHT
 
 METHODS = ("ekf_toa_aoa", "ekf_aoa", "wcg")
 DIVERGED_M = 15.0  # 3-D RMSE beyond which a trial counts as diverged

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from aoabench.maths.statistics import Estimate
 from aoabench.report.plots import COLOURS, GREY, LABELS, MARKERS, PAGE, boxes, new
-from aoabench.statistics import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

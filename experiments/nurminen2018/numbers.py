@@ -7,14 +7,15 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from aoabench import directional, statistics
-from aoabench.composing import compose_cells
+from aoabench.config.compose import compose_cells
+from aoabench.engine.tiles import Draws, estimate_tile
 from aoabench.filters.kalman import EKF, UKF
-from aoabench.geometry import to_unit, wrap
+from aoabench.maths import directional, statistics
+from aoabench.maths.geometry import to_unit, wrap
 from aoabench.models.azel import AzEl, AzElAdaptive, AzElFitted, adaptive_table
 from aoabench.models.unit_vector import UnitVector
-from aoabench.montecarlo import Draws, estimate_tile
 from aoabench.noise.angular import FlippedAngles, VonMisesFisher
+from aoabench.store.summary import QUANTILES
 from aoabench.types import Anchors
 
 SIGMA = np.deg2rad(10.0)
@@ -272,7 +273,7 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
         for name in wide.columns:
             family, _, model = name.partition("_")
             percent = 100 * (wide[name] / wide["pf_vmf"] - 1)
-            levels = [statistics.quantile(percent, q) for q in statistics.QUANTILES]
+            levels = [statistics.quantile(percent, q) for q in QUANTILES]
             mean = statistics.mean(wide[name])
             row = {
                 "layout": layout,
@@ -286,10 +287,7 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
                 "replications": len(wide),
             }
             row |= {"rmse_mean_3d_m": mean.value, "se_m": mean.se}
-            row |= {
-                f"q{round(100 * q):02d}": level.value
-                for q, level in zip(statistics.QUANTILES, levels)
-            }
+            row |= {f"q{round(100 * q):02d}": level.value for q, level in zip(QUANTILES, levels)}
             row |= {"median_se": levels[2].se, "minimum": percent.min(), "maximum": percent.max()}
             others = {"pf_vmf": "pf_vmf"} | {
                 m: f"{family}_{m}" for m in ("vmf", "ae_nominal", "ae_fitted")

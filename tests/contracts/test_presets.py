@@ -5,9 +5,10 @@ contract.
 import numpy as np
 import pytest
 
-from aoabench.composing import compose_cells
-from aoabench.config import options
-from aoabench.montecarlo import Draws, estimate_tile, run_block, tile_of
+from aoabench.config.compose import compose_cells
+from aoabench.config.presets import options
+from aoabench.engine.block import run_block
+from aoabench.engine.tiles import Draws, estimate_tile, tile_of
 from aoabench.types import Outcome
 
 TIMES = {"ekf_toa_aoa", "wcg", "wcg_as_printed"}  # estimators that need times of arrival

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from aoabench.cli import main
+from aoabench.cli.main import main
 
 F = "filter=[ekf_vmf]"
 

@@ -12,9 +12,11 @@ import pandas as pd
 import pytest
 
 import aoabench
-from aoabench import runner, store
-from aoabench.cli import main
-from aoabench.composing import compose_cells
+from aoabench.cli.main import main
+from aoabench.config.compose import compose_cells
+from aoabench.engine import runner
+from aoabench.store import keys
+from aoabench.store.parts import intact_parts
 
 pytest.importorskip("distributed", reason="Dask is not installed: pip install 'aoabench[dask]'")
 
@@ -90,7 +92,7 @@ def test_rows_are_those_of_loky_though_a_worker_is_killed_half_way(tmp_path, mon
             a, b = (pd.read_parquet(f"{out}/{name}.parquet") for out in ("dask", "loky"))
             pd.testing.assert_frame_equal(a, b, check_exact=True)
         for folder in (tmp_path / "dask" / "parts").iterdir():
-            parts = store.intact_parts(tmp_path / "dask", folder.name)
+            parts = intact_parts(tmp_path / "dask", folder.name)
             assert sum(part.stop - part.start for part in parts) == 160
         # the same folder goes on with another backend, and a plug-in beside the run is found by the
         # workers
@@ -112,7 +114,7 @@ def test_rows_are_those_of_loky_though_a_worker_is_killed_half_way(tmp_path, mon
         frame = aoabench.run(*words, out="plugin", config_dir="conf", plugins=["my_remote_origin"])
         assert len(frame) == 300
         # a worker with other code refuses to compute under this run's keys
-        monkeypatch.setattr(store, "_versions", lambda: {"numpy": "0.1"})
+        monkeypatch.setattr(keys, "_versions", lambda: {"numpy": "0.1"})
         with pytest.raises(aoabench.RunError, match="has another version of the code"):
             runner.run(
                 compose_cells([*WORDS, "seed=2", *words[:2], "runner.out=dask"]), progress=False
@@ -147,7 +149,7 @@ def test_the_cluster_is_not_part_of_any_key():
         )
     )
     assert local.id == far.id
-    assert store.part_key(local, "ekf_vmf") == store.part_key(far, "ekf_vmf")
+    assert keys.part_key(local, "ekf_vmf") == keys.part_key(far, "ekf_vmf")
 
 
 @pytest.mark.parametrize(("words", "expected"), [
@@ -159,7 +161,7 @@ def test_the_cluster_is_not_part_of_any_key():
 ])  # fmt: skip
 def test_a_bad_address_is_the_users_mistake(words, expected, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("aoabench.workers._CONNECT_S", 1)
+    monkeypatch.setattr("aoabench.engine.dask._CONNECT_S", 1)
     with pytest.raises(SystemExit) as stop:
         main(["run", "filter=[ekf_vmf]", "reps=3", *words])
     said = capsys.readouterr().err

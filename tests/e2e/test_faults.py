@@ -22,9 +22,11 @@ import pandas as pd
 import psutil
 import pytest
 
-from aoabench import RunError, runner, store
-from aoabench.cli import main
-from aoabench.composing import compose_cells
+from aoabench import RunError
+from aoabench.cli.main import main
+from aoabench.config.compose import compose_cells
+from aoabench.engine import runner
+from aoabench.store.parts import intact_parts
 
 WORDS = ["noise=vmf", "filter=[pf_vmf,pf_ae_nominal]", "filter.pf_vmf.particles=1000", "filter.pf_ae_nominal.particles=1000",
          "reps=400", "runner.chunk=4"]  # fmt: skip
@@ -62,7 +64,7 @@ def assert_kept(before, out):
 
 def assert_each_once(out):
     for folder in (out / "parts").iterdir():
-        parts = store.intact_parts(out, folder.name)
+        parts = intact_parts(out, folder.name)
         assert sum(part.stop - part.start for part in parts) == 400, "overlapping parts"
 
 
@@ -88,7 +90,7 @@ def _command(words, said):
 
 # each command is forked from one process that has imported everything: a second less for each
 _forks = multiprocessing.get_context("forkserver")
-_forks.set_forkserver_preload(["aoabench.cli", "aoabench.composing", "aoabench.runner", "aoabench.filters.particle_kernels",
+_forks.set_forkserver_preload(["aoabench.cli.main", "aoabench.config.compose", "aoabench.engine.runner", "aoabench.kernels.particle",
                                "hydra", "pandas", "pyarrow.parquet", "joblib", "rich.progress", "tests.e2e.test_faults"])  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import time
 import pandas as pd
 import pytest
 
-from aoabench import store
+from aoabench.store.parts import intact_parts
 
 RUN = [
     "run",
@@ -48,7 +48,7 @@ def test_interrupted_runs_leave_whole_parts_and_go_on(backend, tmp_path):
     assert process.returncode == 130
     assert "Traceback" not in said
     found = {
-        f.name: [(p.start, p.stop) for p in store.intact_parts(tmp_path, f.name)]
+        f.name: [(p.start, p.stop) for p in intact_parts(tmp_path, f.name)]
         for f in tmp_path.glob("parts/*")
     }
     assert 0 < sum(b - a for parts in found.values() for a, b in parts) < 400

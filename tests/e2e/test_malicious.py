@@ -8,10 +8,11 @@ import pickle
 import pytest
 
 import aoabench
-from aoabench import runner, tables
-from aoabench.cli import main
-from aoabench.composing import compose_cells
-from aoabench.replaying import replay
+from aoabench.cli.main import main
+from aoabench.config.compose import compose_cells
+from aoabench.engine import runner
+from aoabench.engine.replay import replay
+from aoabench.store import folder
 
 HIT = "{_target_: os.system, command: touch HIT}"
 EXPERIMENT = "# @package _global_\n# X\ndefaults:\n  - override /filter: [ekf_vmf]\n"
@@ -28,7 +29,7 @@ CORPUS = {
     "our plug-in's numpy": ("noise/x.yaml", "_target_: aoabench.noise.angular.np.load\nfile: x\n", ["noise=x"]),
     "our plug-in's builtins": ("noise/x.yaml", "_target_: aoabench.noise.angular.__builtins__.eval\n", ["noise=x"]),
     "our plug-in's Path": ("noise/x.yaml", "_target_: aoabench.scenarios.plan.Path\n", ["noise=x"]),
-    "a class that is not a plug-in": ("noise/x.yaml", "_target_: aoabench.workers.Task\n", ["noise=x"]),
+    "a class that is not a plug-in": ("noise/x.yaml", "_target_: aoabench.engine.tasks.Task\n", ["noise=x"]),
     "importlib": ("noise/x.yaml", "_target_: importlib.import_module\nname: evil\n", ["noise=x"]),
     "a module beside us": ("noise/x.yaml", "_target_: evil.Evil\n", ["noise=x"]),
     "a module that looks like ours": ("noise/x.yaml", "_target_: aoabench_evil.noise.Evil\n", ["noise=x"]),
@@ -174,7 +175,7 @@ def test_a_run_folder_from_elsewhere_cannot_name_files(finished, tmp_path):
     assert not list(tmp_path.glob("outside*"))
     assert [p.name for p in (out / "replay").iterdir()] == [f"{cell}-_._.._.._outside-1.parquet"]
     rewritten(out, lambda record: record.update(cell="../../outside"))
-    assert tables.records(out) == [], "it does not belong to its file"
+    assert folder.records(out) == [], "it does not belong to its file"
     rewritten(
         out,
         lambda record: (
@@ -182,7 +183,7 @@ def test_a_run_folder_from_elsewhere_cannot_name_files(finished, tmp_path):
             record["estimators"]["ekf_vmf"].update(key="../../x"),
         ),
     )
-    assert tables.records(out) == []
+    assert folder.records(out) == []
     assert frame.exists()
     assert runner.run(cells, progress=False).computed == 0, "the parts are still there"
 

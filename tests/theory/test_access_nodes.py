@@ -8,11 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from aoabench.errors import BadValue
 from aoabench.estimators.centroid import WeightedCentroid
 from aoabench.filters import access_nodes as an
-from aoabench.geometry import LIGHT, wrap
+from aoabench.maths.geometry import LIGHT, wrap
 from aoabench.models.motion import ConstantAcceleration
-from aoabench.types import Anchors, BadValue, Batch, Outcome
+from aoabench.types import Anchors, Batch, Outcome
 
 B = 7
 SUBSETS = [s for n in range(5) for s in combinations(an.PRINTED, n)]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from aoabench.bounds import azel_information, crb, direction_information, gdop
-from aoabench.composing import compose_cells
-from aoabench.directional import vmf_log_peak, vmf_sample
-from aoabench.geometry import facing
+from aoabench.config.compose import compose_cells
+from aoabench.maths.directional import vmf_log_peak, vmf_sample
+from aoabench.maths.geometry import facing
 from aoabench.models.azel import AzEl
 from aoabench.types import Anchors
 

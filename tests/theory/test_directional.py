@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from aoabench import directional as d
-from aoabench import geometry as g
+from aoabench.maths import directional as d
+from aoabench.maths import geometry as g
 from aoabench.noise.angular import FlippedAngles, NormalAngles, VonMisesFisher
 
 MU = np.array([2.0, -1.0, 0.5]) / np.sqrt(5.25)

@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 import shapely
 
-from aoabench.composing import compose_cells
+from aoabench.config.compose import compose_cells
+from aoabench.engine.block import run_block
+from aoabench.engine.tiles import Draws
+from aoabench.errors import BadValue
 from aoabench.estimators import ellipses
 from aoabench.estimators.discrepancy import Discrepancy
-from aoabench.geometry import euler, facing, to_unit
-from aoabench.kernels import load
-from aoabench.montecarlo import Draws, run_block
-from aoabench.types import Anchors, BadValue, Batch, Outcome
+from aoabench.kernels.loading import load
+from aoabench.maths.geometry import euler, facing, to_unit
+from aoabench.types import Anchors, Batch, Outcome
 
 ENGINES = ("auto", "numpy")
 INTERSECTIONS = ("boxes", "exact")
-K = load("estimators.discrepancy_kernels")
+K = load("kernels.discrepancy")
 
 
 class Plane:

@@ -15,13 +15,13 @@ import yaml
 from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
-from aoabench.config import construct
-from aoabench.geometry import in_frames, to_azel
+from aoabench.config.plugins import construct
+from aoabench.devices.plan import in_sight
+from aoabench.errors import UserError
+from aoabench.maths.geometry import in_frames, to_azel
 from aoabench.models.motion import ConstantAcceleration, RandomWalk
+from aoabench.resources import shipped
 from aoabench.scenarios.indoor_map import IndoorMap
-from aoabench.scenarios.plan import in_sight
-from aoabench.store import shipped
-from aoabench.types import UserError
 
 CONFIGS = shipped("configs")
 ONE_IN_A_MILLION = 1e-6  # false alarms of each statistical test, two-sided

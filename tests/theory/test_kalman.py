@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from aoabench.filters.kalman import EKF, UKF, cholesky, sigma_points
+from aoabench.errors import BadValue
+from aoabench.filters.kalman import EKF, UKF, sigma_points
+from aoabench.maths.linalg import cholesky
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
 from aoabench.streams import Streams
-from aoabench.types import Anchors, BadValue, Batch, Outcome
+from aoabench.types import Anchors, Batch, Outcome
 
 
 @dataclass(frozen=True)

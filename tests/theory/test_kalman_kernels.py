@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aoabench.filters import kernels
+from aoabench.filters.compiled import KINDS
 from aoabench.filters.kalman import EKF, UKF
-from aoabench.kernels import load
+from aoabench.kernels.loading import load
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
@@ -19,7 +19,7 @@ from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome
 
 numba = pytest.importorskip("numba")
-K = load("filters.kalman_kernels")
+K = load("kernels.kalman")
 MODELS = [UnitVector(30.0), AzEl(12.0), AzElAdaptive(12.0, noise=FlippedAngles(12.0))]
 
 
@@ -81,7 +81,7 @@ def batch_of(rng):
     return make
 
 
-@pytest.mark.parametrize("h", MODELS, ids=kernels.KINDS)
+@pytest.mark.parametrize("h", MODELS, ids=KINDS)
 @pytest.mark.parametrize(
     "make", [EKF, UKF, lambda h: UKF(h, 0.7, "centre")], ids=["ekf", "ukf", "ukf_centre"]
 )
@@ -145,9 +145,7 @@ def test_the_machine_code_is_vectorised(tmp_path):
 
     if not llvm.get_host_cpu_features().get("avx2"):
         pytest.skip("no AVX2")
-    script = (
-        "from aoabench.filters import kalman_kernels as K\nprint(*K.ekf.inspect_asm().values())"
-    )
+    script = "from aoabench.kernels import kalman as K\nprint(*K.ekf.inspect_asm().values())"
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True

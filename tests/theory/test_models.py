@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aoabench.geometry import euler, facing, to_unit, wrap
+from aoabench.errors import BadValue
+from aoabench.maths.geometry import euler, facing, to_unit, wrap
 from aoabench.models.azel import AzEl, AzElAdaptive, AzElFitted, adaptive_table
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles, VonMisesFisher
-from aoabench.types import Anchors, BadValue, Batch
+from aoabench.types import Anchors, Batch
 
 NOISE = FlippedAngles(10.0)
 MODELS = [

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aoabench.geometry import LIGHT
+from aoabench.errors import BadValue
+from aoabench.maths.geometry import LIGHT
 from aoabench.noise.ofdm import OfdmCrlb
-from aoabench.types import Anchors, BadValue
+from aoabench.types import Anchors
 
 NOISE = OfdmCrlb()
 

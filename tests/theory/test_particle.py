@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from aoabench.errors import BadValue
 from aoabench.filters.particle import ParticleFilter, reweigh, systematic
 from aoabench.models.azel import AzEl
 from aoabench.models.unit_vector import UnitVector
-from aoabench.report import study
 from aoabench.streams import Streams
-from aoabench.types import Anchors, BadValue, Batch, Outcome
+from aoabench.studies import study
+from aoabench.types import Anchors, Batch, Outcome
 from tests.theory.test_kalman import ANCHORS, ConstantVelocity, Line, Linear, exact_kalman
 
 STUDY = study.load("nurminen2018")
@@ -182,7 +183,7 @@ def test_degenerate_weights():
 def track_batch(track, noise_seed=5, R=2):
     from dataclasses import replace
 
-    from aoabench.montecarlo import Draws
+    from aoabench.engine.tiles import Draws
     from aoabench.noise.angular import VonMisesFisher
 
     truth, batch = Draws(track, VonMisesFisher(10.0), noise_seed).tile(0, R)

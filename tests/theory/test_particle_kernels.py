@@ -13,20 +13,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aoabench import montecarlo, store
-from aoabench.composing import compose_cells
-from aoabench.directional import vmf_log_peak
-from aoabench.filters import kernels
+from aoabench.config.compose import compose_cells
+from aoabench.engine import block
+from aoabench.engine.tiles import Draws, estimate_tile
 from aoabench.filters import particle as pf
-from aoabench.kernels import load
+from aoabench.filters.compiled import KINDS, kind_of
+from aoabench.kernels.loading import load
+from aoabench.maths.directional import vmf_log_peak
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
+from aoabench.store import keys
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch
 
 numba = pytest.importorskip("numba")
-K = load("filters.particle_kernels")
+K = load("kernels.particle")
 KEY = (0xA4093822, 0x299F31D0)
 
 
@@ -208,7 +210,7 @@ def models(sigma_deg):
 
 
 @pytest.mark.parametrize("sigma_deg", [30.0, 10.0, 1.8118])  # the last one: kappa = 1000
-@pytest.mark.parametrize("which", range(3), ids=kernels.KINDS)
+@pytest.mark.parametrize("which", range(3), ids=KINDS)
 @pytest.mark.parametrize("B", [1, 4, 9])
 def test_log_weights_of_one_step(sigma_deg, which, B, rng):
     """Within 1e-4 of double precision, on 10 240 particles, whatever the noise drew and whatever
@@ -261,7 +263,7 @@ def seen_low(rng, direction):
             return R
 
 
-@pytest.mark.parametrize("which", range(3), ids=kernels.KINDS)
+@pytest.mark.parametrize("which", range(3), ids=KINDS)
 def test_what_is_not_measured_is_left_out(which, rng):
     h, M = models(10.0)[which], K.TILE
     anchors = Anchors(rng.uniform(-5, 5, (1, 3, 3)), rotations(rng, 3)[None])
@@ -279,7 +281,7 @@ def test_what_is_not_measured_is_left_out(which, rng):
     assert np.abs(difference - np.median(difference)).max() < (0.3 if which == 2 else 1e-4)
 
 
-@pytest.mark.parametrize("which", range(3), ids=kernels.KINDS)
+@pytest.mark.parametrize("which", range(3), ids=KINDS)
 def test_a_particle_on_its_anchor_or_pole_is_finite(which):
     h, anchors = models(10.0)[which], Anchors(np.zeros((1, 1, 3)), np.eye(3)[None, None])
     y = h.predict(np.array([[1.0, 1.0, 1.0]]), anchors)
@@ -329,9 +331,7 @@ def cell_with(name, *words):
 
 def estimates(cell, engine, replication, **changes):
     estimator = replace(next(iter(cell.estimators.values())), engine=engine, **changes)
-    return montecarlo.estimate_tile(
-        montecarlo.Draws(cell.scenario, cell.noise, cell.seed), estimator, replication
-    )[1]
+    return estimate_tile(Draws(cell.scenario, cell.noise, cell.seed), estimator, replication)[1]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -365,7 +365,7 @@ def test_rmse_agrees_with_the_reference_on_200_paired_replications(name):
     cell = cell_with(name, "noise=ae_flip")
     one = next(iter(cell.estimators.values()))
     both = {engine: replace(one, engine=engine, particles=1000) for engine in ("auto", "numpy")}
-    blocks = montecarlo.run_block(cell.scenario, cell.noise, both, 1, 0, 200)
+    blocks = block.run_block(cell.scenario, cell.noise, both, 1, 0, 200)
     d = blocks["auto"]["rows"]["rmse_3d_m"] - blocks["numpy"]["rows"]["rmse_3d_m"]
     assert abs(d.mean()) < 3.9 * d.std(ddof=1) / np.sqrt(len(d))
     assert d.std() > 0
@@ -383,7 +383,7 @@ def test_single_precision_is_not_seen_beside_the_monte_carlo_error(name):
     cell = cell_with(name, "noise=ae_flip")
     one = next(iter(cell.estimators.values()))
     both = {engine: replace(one, engine=engine, particles=1000) for engine in ("auto", "double")}
-    blocks = montecarlo.run_block(cell.scenario, cell.noise, both, 1, 0, 300)
+    blocks = block.run_block(cell.scenario, cell.noise, both, 1, 0, 300)
     fast, exact = (blocks[engine]["rows"]["rmse_3d_m"] for engine in both)
     d = fast - exact
     assert abs(d.mean()) + 3 * d.std(ddof=1) / np.sqrt(300) < 0.1 * exact.std() / np.sqrt(1000)
@@ -404,7 +404,7 @@ class Still:
 
 @pytest.mark.parametrize("B", [1, 2, 3, 7, 40])
 @pytest.mark.parametrize("N", [1, 100, 257, 1000])
-@pytest.mark.parametrize("which", range(3), ids=kernels.KINDS)
+@pytest.mark.parametrize("which", range(3), ids=KINDS)
 def test_any_number_of_anchors_and_particles_and_any_linear_motion(B, N, which, rng):
     h = models(20.0)[which]
     anchors = Anchors(rng.uniform(-5, 5, (1, B, 3)), rotations(rng, B)[None])
@@ -453,9 +453,9 @@ class Shifted(UnitVector):
 
 
 def test_a_subclass_has_no_kernel_until_it_says_so():
-    assert kernels.kind_of(UnitVector(1.0)) == 0
-    assert kernels.kind_of(UnitVector(1.0), "numpy") is None
-    assert kernels.kind_of(Shifted(1.0)) is None
+    assert kind_of(UnitVector(1.0)) == 0
+    assert kind_of(UnitVector(1.0), "numpy") is None
+    assert kind_of(Shifted(1.0)) is None
 
 
 def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
@@ -476,11 +476,11 @@ def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
 @pytest.mark.parametrize(
     "name",
     [
-        "filters.particle_kernels",
-        "filters.kalman_kernels",
-        "filters.access_node_kernels",
-        "estimators.snapshot_kernels",
-        "estimators.discrepancy_kernels",
+        "kernels.particle",
+        "kernels.kalman",
+        "kernels.access_nodes",
+        "kernels.snapshot",
+        "kernels.discrepancy",
     ],
 )
 def test_kernels_use_only_their_own_file(name):
@@ -497,28 +497,30 @@ def test_kernels_use_only_their_own_file(name):
     }
     imported |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert not any(str(n).startswith("aoabench") for n in imported)
-    if name in ("filters.particle_kernels", "filters.kalman_kernels"):
-        assert [getattr(module, k.upper()) for k in kernels.KINDS] == [0, 1, 2]
+    if name in ("kernels.particle", "kernels.kalman"):
+        assert [getattr(module, k.upper()) for k in KINDS] == [0, 1, 2]
 
 
 @pytest.mark.parametrize(
     ("module", "kernels_"),
     [
-        ("filters.particle", "particle_kernels.py"),
-        ("filters.kalman", "kalman_kernels.py"),
-        ("filters.access_nodes", "access_node_kernels.py"),
-        ("estimators.maximum_likelihood", "snapshot_kernels.py"),
-        ("estimators.discrepancy", "discrepancy_kernels.py"),
+        ("filters.particle", "particle.py"),
+        ("filters.kalman", "kalman.py"),
+        ("filters.access_nodes", "access_nodes.py"),
+        ("estimators.maximum_likelihood", "snapshot.py"),
+        ("estimators.discrepancy", "discrepancy.py"),
     ],
 )
 def test_results_are_keyed_on_the_kernels_source(module, kernels_, monkeypatch):
     """They are loaded by name, so the key of stored results must be told of them."""
-    read, parsed = [], store._parsed
+    read, parsed = [], keys._parsed
     monkeypatch.setattr(
-        store, "_parsed", lambda file, *rest: read.append(file.name) or parsed(file, *rest)
+        keys,
+        "_parsed",
+        lambda file, *rest: read.append(f"{file.parent.name}/{file.name}") or parsed(file, *rest),
     )
-    store.source_hash([f"aoabench.{module}"])
-    assert kernels_ in read
+    keys.source_hash([f"aoabench.{module}"])
+    assert f"kernels/{kernels_}" in read
 
 
 LIBM = re.compile(
@@ -536,7 +538,7 @@ def test_the_machine_code_is_vectorised(tmp_path):
     if not features.get("avx2"):
         pytest.skip("no AVX2")
     script = (
-        "import sys\nfrom aoabench.filters import particle_kernels as K\n"
+        "import sys\nfrom aoabench.kernels import particle as K\n"
         "for name in ('normals', 'loglik', 'lap'):\n"
         "    print('KERNEL', name)\n    print(*getattr(K, name).inspect_asm().values())\n"
     )

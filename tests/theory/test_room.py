@@ -10,21 +10,17 @@ import pytest
 from scipy import stats
 from scipy.optimize import minimize
 
-from aoabench.composing import compose_cells
-from aoabench.estimators.anchors import (
-    AnchorMean,
-    BestAnchor,
-    RssiAnchor,
-    SingleAnchor,
-    directions,
-    on_plane,
-)
+from aoabench.config.compose import compose_cells
+from aoabench.engine.block import run_block
+from aoabench.engine.tiles import Draws, simulate
+from aoabench.errors import BadValue, UserError
+from aoabench.estimators.anchors import AnchorMean, BestAnchor, RssiAnchor, SingleAnchor
 from aoabench.estimators.lines import AnchorDiscarding, LineLeastSquares
+from aoabench.estimators.plane import directions, on_plane
 from aoabench.estimators.vmf_likelihood import VmfLikelihood
-from aoabench.geometry import euler, facing, in_frames, to_azel, wrap
-from aoabench.montecarlo import Draws, run_block, simulate
+from aoabench.maths.geometry import euler, facing, in_frames, to_azel, wrap
 from aoabench.noise.multipath import BleMultipath
-from aoabench.types import Anchors, BadValue, Batch, Outcome, UserError
+from aoabench.types import Anchors, Batch, Outcome
 
 
 def room(*words, noise="ae_normal", estimator="anchor_mean"):

@@ -9,12 +9,13 @@ import pytest
 from scipy.optimize import least_squares
 
 from aoabench import bounds
-from aoabench.composing import compose_cells
-from aoabench.estimators.least_squares import LeastSquares, solve
+from aoabench.config.compose import compose_cells
+from aoabench.engine.tiles import Draws
+from aoabench.estimators.least_squares import LeastSquares
 from aoabench.estimators.maximum_likelihood import AZIMUTHS, GaussNewton
-from aoabench.geometry import facing, wrap
+from aoabench.maths.geometry import facing, wrap
+from aoabench.maths.linalg import solve
 from aoabench.models.azel import AzEl
-from aoabench.montecarlo import Draws
 from aoabench.noise.angular import NormalAngles
 from aoabench.types import Anchors, Batch, Outcome
 

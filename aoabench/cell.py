@@ -1,0 +1,139 @@
+"""A cell of an experiment, and how to run it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from aoabench.columns import REPLICATIONS
+from aoabench.errors import BadValue, check_choice, check_number
+from aoabench.maths.digest import digest
+
+
+@dataclass(frozen=True)
+class Until:
+    """Replications until the mean of `metric` is known to a standard error: `se` in its unit, or
+    relative to the mean.
+
+    Looked at when all of the first min_reps, 1.25 min_reps, 1.25^2 min_reps ... max_reps are there,
+    so that the outcome depends on the replications alone. Both errors have to be reached where both
+    are given.
+    """
+
+    metric: str
+    se: float | None = None
+    relative_se: float | None = None
+    min_reps: int = 200
+    max_reps: int = 20_000
+
+    def __post_init__(self) -> None:
+        check_choice(
+            "until.metric", self.metric, [c for c, kind in REPLICATIONS.items() if kind == "double"]
+        )
+        check_number("until.se", self.se, above=0, optional=True)
+        check_number("until.relative_se", self.relative_se, above=0, optional=True)
+        check_number("until.min_reps", self.min_reps, least=2, most=100_000_000, integer=True)
+        check_number(
+            "until.max_reps", self.max_reps, least=self.min_reps, most=100_000_000, integer=True
+        )
+        if self.se is self.relative_se is None:
+            raise BadValue(
+                "until.se",
+                None,
+                "a number > 0, here or for until.relative_se, where until.metric is given",
+            )
+
+    @property
+    def counts(self) -> list[int]:
+        """The numbers of replications at which to look, increasing; the last one is max_reps."""
+        found = [self.min_reps]
+        while found[-1] < self.max_reps:
+            found.append(min(math.ceil(1.25 * found[-1]), self.max_reps))
+        return found
+
+
+@dataclass(frozen=True)
+class RunnerOptions:
+    """How to run: never part of what is computed."""
+
+    out: str
+    n_jobs: int = -1
+    backend: str = "loky"
+    chunk: int | None = None
+    address: str | None = None
+    steps: bool = False
+    max_failed: float = 0.5
+    until: Until | None = None
+
+    def __post_init__(self) -> None:
+        check_number("runner.n_jobs", self.n_jobs, least=-1, integer=True)
+        if self.n_jobs == 0:
+            raise BadValue("runner.n_jobs", 0, "an integer >= 1, or -1 for all cores")
+        check_number("runner.chunk", self.chunk, least=1, integer=True, optional=True)
+        check_number("runner.max_failed", self.max_failed, least=0, most=1)
+        check_choice("runner.backend", self.backend, ("loky", "threading", "sequential", "dask"))
+        if self.backend == "dask" and not _is_address(self.address):
+            raise BadValue(
+                "runner.address",
+                self.address,
+                "the scheduler's tcp://HOST:PORT (or tls://HOST:PORT)",
+            )
+        if self.backend != "dask" and self.address is not None:
+            raise BadValue("runner.address", self.address, "null, unless runner.backend=dask")
+        if not isinstance(self.out, str) or not self.out.strip():
+            raise BadValue("runner.out", self.out, "the path of a folder")
+        if not isinstance(self.steps, bool):
+            raise BadValue("store.steps", self.steps, "true or false")
+
+
+def _is_address(value: object) -> bool:
+    return (
+        isinstance(value, str)
+        and re.fullmatch(r"(tcp|tls)://(\[[0-9a-fA-F:]+\]|[\w.-]+):\d{1,5}", value) is not None
+    )
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One scenario with one noise and the estimators to compare: objects, and the plain config they
+    came from.
+    """
+
+    scenario_name: str
+    noise_name: str
+    scenario: Any
+    noise: Any
+    estimators: Mapping[str, Any]
+    seed: int
+    reps: int
+    runner: RunnerOptions
+    config: Mapping[str, Any]
+    changed: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # estimators' parameters that differ from their presets
+    swept: tuple[str, ...] = ()  # dotted parameters that the command line sets
+    experiment: str | None = None
+    plugins: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # lines for whoever asked for it
+
+    @property
+    def id(self) -> str:
+        """Short name of the cell: scenario, noise, seed and changed parameters decide it;
+        estimators join in.
+        """
+        parts = [
+            self.config["scenario"],
+            self.config["noise"],
+            self.seed,
+            self.scenario_name,
+            self.noise_name,
+        ]
+        return digest([*parts, dict(self.changed)])[:12]
+
+    @property
+    def draws(self) -> str:
+        """Hash of the config that the simulated data come from."""
+        return digest([self.config["scenario"], self.config["noise"], self.seed])

@@ -1,0 +1,5 @@
+"""`python -m aoabench.cli`."""
+
+from aoabench.cli.main import main
+
+main()

@@ -1,0 +1,125 @@
+"""From `_target_` nodes to objects.
+
+A `_target_` is resolved by the few lines below and never by Hydra: its real module must lie in one
+of our plug-in packages, or in a package that the user named on the command line (`plugins=[...]`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from aoabench.errors import BadValue, UserError, did_you_mean
+
+PLUG_INS = tuple(
+    f"aoabench.{room}" for room in ("scenarios", "noise", "models", "filters", "estimators")
+)
+
+
+def resolve(target: object, path: str, plugins: Sequence[str] = ()) -> type:
+    """The class that a `_target_` names, or UserError if it is not one that a config may name."""
+    allowed = (
+        f"a dataclass in {', '.join(PLUG_INS)}, "
+        "or in a package listed in plugins=[...] on the command line"
+    )
+    key = f"{path}._target_"
+    if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")):
+        raise BadValue(key, target, allowed)
+    module_name, _, name = target.rpartition(".")
+    if not _within(module_name, (*PLUG_INS, *plugins)):
+        raise BadValue(key, target, allowed)
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise UserError(f"{key}={target!r} cannot be imported: {error}") from None
+    found = getattr(module, name, None)
+    if found is None:
+        raise UserError(
+            f"{key}={target!r}: {module_name} has no {name!r}{did_you_mean(name, vars(module))}"
+        )
+    if not (isinstance(found, type) and dataclasses.is_dataclass(found)) or name.startswith("_"):
+        raise BadValue(key, target, allowed)
+    if not _within(found.__module__, (*PLUG_INS, *plugins)):
+        raise BadValue(key, target, allowed)
+    return found
+
+
+def _within(module: str, packages: Iterable[str]) -> bool:
+    return any(module == p or module.startswith(p + ".") for p in packages)
+
+
+def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
+    """The object that a plain YAML node describes; mappings need a `_target_`, lists and scalars
+    stay as they are.
+    """
+    if isinstance(node, list):
+        return [construct(item, f"{path}[{i}]", plugins) for i, item in enumerate(node)]
+    if not isinstance(node, dict):
+        return node
+    if "_target_" not in node:
+        raise UserError(
+            f"{path}: a mapping with _target_ is needed here, "
+            f"got keys {', '.join(map(str, node)) or 'none'}"
+        )
+    cls = resolve(node["_target_"], path, plugins)
+    known = [f.name for f in dataclasses.fields(cls) if f.init]
+    arguments = {}
+    for key, value in node.items():
+        if key == "_target_":
+            continue
+        if key not in known:
+            hint = did_you_mean(str(key), known)
+            raise UserError(f"{path}.{key}: unknown key{hint or '; allowed: ' + ', '.join(known)}")
+        arguments[key] = construct(value, f"{path}.{key}", plugins)
+    missing = [
+        f.name
+        for f in dataclasses.fields(cls)
+        if f.init
+        and f.name not in arguments
+        and f.default is f.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise UserError(f"{path}.{missing[0]}: missing, {cls.__name__} needs it")
+    try:
+        return cls(**arguments)
+    except BadValue as error:
+        raise BadValue(f"{path}.{error.key}", error.value, error.allowed) from None
+    except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def parse_plugins(overrides: Sequence[str]) -> tuple[str, ...]:
+    """The packages that `plugins=[...]` among the user's own overrides names."""
+    found: tuple[str, ...] = ()
+    for override in overrides:
+        key, _, value = override.partition("=")
+        if key.lstrip("+") == "plugins":
+            names = [name.strip(" '\"") for name in value.strip(" []").split(",") if name.strip()]
+            for name in names:
+                if not all(part.isidentifier() for part in name.split(".")):
+                    raise BadValue(
+                        "plugins",
+                        value,
+                        "a list of importable packages, e.g. plugins=[my_estimators]",
+                    )
+            found = tuple(names)
+    return found
+
+
+def import_plugins(plugins: Sequence[str]) -> None:
+    """Import the user's own packages, from the working folder too; UserError for whatever they
+    raise.
+    """
+    if plugins and os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # last: what is installed is found first
+    for name in plugins:
+        try:
+            importlib.import_module(name)
+        except Exception as error:  # the user's code: whatever it raises
+            raise UserError(
+                f"plugins=[{name}]: cannot be imported: {type(error).__name__}: {error}"
+            ) from None

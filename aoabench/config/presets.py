@@ -1,0 +1,22 @@
+"""The config groups and their presets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from aoabench.resources import shipped
+
+GROUPS = ("scenario", "noise", "filter", "estimator", "runner", "experiment")
+
+
+def options(group: str, config_dir: str | None = None) -> dict[str, str]:
+    """Presets of a config group with the one-line description that heads each file."""
+    found: dict[str, str] = {}
+    for root in (shipped("configs"), *([Path(config_dir)] if config_dir else [])):
+        for file in sorted((root / group).glob("*.yaml")):
+            head = file.read_text(encoding="utf-8").splitlines()
+            lines = [
+                line[1:].strip() for line in head if line.startswith("#") and "@package" not in line
+            ]
+            found.setdefault(file.stem, lines[0] if lines else "")
+    return found

@@ -1,0 +1,62 @@
+"""What the machine does to a run, as one clear line."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from aoabench.errors import RunError, UserError
+
+
+def tell(line: str) -> None:
+    print(f"aoabench: {line}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def explained(out: Path) -> Iterator[None]:
+    """Turn what the machine does to a run into one clear line."""
+    from concurrent.futures import BrokenExecutor
+
+    kept = "what was finished is kept, the same command goes on from there"
+    less = "fewer workers (runner.n_jobs) or smaller tasks (runner.chunk) need less memory"
+    try:
+        yield
+    except MemoryError as error:
+        raise RunError(f"out of memory ({error or 'no more to be had'}); {less}; {kept}") from error
+    except BrokenExecutor as error:
+        raise RunError(
+            f"a worker process was killed, for using too much memory perhaps; {less}; {kept}"
+        ) from error
+    except Exception as error:
+        if type(error).__module__.partition(".")[0] == "distributed":
+            raise RunError(
+                f"the Dask cluster gave up: {type(error).__name__}: {error}; {kept}"
+            ) from error
+        disk = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+        if not isinstance(error, OSError) or error.errno not in disk:
+            raise
+        raise RunError(
+            f"{out} cannot be written any more: {os.strerror(error.errno)}; {kept}"
+        ) from error
+
+
+def writable(folder: str, key: str = "runner.out") -> Path:
+    """The folder, made if need be; UserError naming `key` if that, or writing into it, is not
+    possible.
+    """
+    try:
+        path = Path(folder).expanduser()
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / f".probe-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except (OSError, ValueError, RuntimeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise UserError(
+            f"{key}={folder!r} cannot be written: {why}; allowed: a writable folder"
+        ) from None
+    return path

@@ -1,0 +1,294 @@
+"""Cells to tasks: what is missing is computed, what is there is used again, then the tables are
+made.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from aoabench.cell import Cell, Until
+from aoabench.engine import tiles
+from aoabench.engine.faults import explained, tell, writable
+from aoabench.engine.tasks import Loss, Task, kind_of
+from aoabench.engine.timing import time_estimators
+from aoabench.engine.workers import compute_all, cores
+from aoabench.errors import RunError
+from aoabench.maths import statistics
+from aoabench.store import tables
+from aoabench.store.files import locked
+from aoabench.store.folder import errors, known_timing, record_cell, replay_command, values
+from aoabench.store.keys import draws_key, part_key
+from aoabench.store.parts import Part, examined, intact_parts, missing_ranges
+
+_LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
+
+
+_FEW = 100  # replications
+
+
+_HOPELESS = 100  # so many replications, all of them lost, tell that the rest will be, too
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """What a run did: estimator-replications computed and reused, wall seconds, and where the
+    tables lie.
+
+    `damaged`: parts that did not fit their checksums and were computed again. `precision`: where a
+    cell ran until a precision was reached, what each estimator reached (as in precision.parquet).
+    """
+
+    out: Path
+    computed: int
+    reused: int
+    seconds: float
+    damaged: tuple[Path, ...] = ()
+    precision: tuple[Mapping[str, Any], ...] = ()
+
+
+def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
+    """Compute what is missing of all cells and make the tables. The cells share one runner.out.
+
+    Raises UserError if the output folder cannot be written, RunError for what happens on the way (a
+    full disk, a worker that dies, more failures than allowed); what is finished by then is kept and
+    in the tables as far as they can be made, and the same call goes on from there.
+    """
+    cells = merged(cells)
+    out = writable(cells[0].runner.out)
+    with explained(out), locked(out, tell):
+        return _Run(out, cells, progress).run()
+
+
+class _Run:
+    """One run over cells that share an output folder, whose lock is held."""
+
+    def __init__(self, out: Path, cells: Sequence[Cell], progress: bool) -> None:
+        self.out, self.cells, self.progress = out, cells, progress
+        self.options = cells[0].runner
+        self.draws = {cell.id: draws_key(cell) for cell in cells}
+        self.keys = {
+            cell.id: {name: part_key(cell, name, self.draws[cell.id]) for name in cell.estimators}
+            for cell in cells
+        }
+        self.losses: dict[str, Loss] = {}  # by part key
+        self.there: dict[str, int] = {}  # by part key: replications computed, whichever
+        self.goal: dict[str, int] = {}  # by cell: replications wanted so far
+        self.stopped: dict[str, str] = {}  # by cell: why
+        self.precision: dict[str, dict[str, dict[str, Any]]] = {}  # by cell and estimator
+        self.damaged: list[Path] = []
+        self.computed = 0
+
+    def run(self) -> RunReport:
+        """All of it."""
+        begin = time.perf_counter()
+        until = self.options.until
+        running = list(self.cells)
+        for count in until.counts if until else [None]:
+            self.goal |= {cell.id: count or cell.reps for cell in running}
+            self._compute_missing(running)
+            running = [
+                c
+                for c in running
+                if c.id not in self.stopped and until and not self._precise(c, until)
+            ]
+            if not running:
+                break
+        reached = self._tabulate()
+        if self.stopped:
+            raise RunError("; ".join(self.stopped.values()))
+        precision = [
+            {"cell": cell, "estimator": name, **row}
+            for cell, rows in self.precision.items()
+            for name, row in rows.items()
+        ]
+        seconds = time.perf_counter() - begin
+        reused = reached - self.computed
+        return RunReport(
+            self.out, self.computed, reused, seconds, tuple(self.damaged), tuple(precision)
+        )
+
+    def _compute_missing(self, cells: Sequence[Cell]) -> None:
+        """All replications up to the goals. Cells may share parts with one that was stopped: then
+        once more.
+        """
+        while True:
+            before = len(self.stopped)
+            tasks = self._plan([cell for cell in cells if cell.id not in self.stopped])
+            compute_all(
+                tasks,
+                self.out,
+                self.progress,
+                self._note,
+                lambda task: task.cell.id in self.stopped,
+            )
+            if len(self.stopped) == before:
+                return
+
+    def _plan(self, cells: Sequence[Cell]) -> list[Task]:
+        """What is missing of some cells, and what is known of the failures in what is there."""
+        tasks: list[Task] = []
+        claimed: set[str] = set()  # cells that differ in another estimator's parameter share parts
+        for cell in cells:
+            goal, done = self.goal[cell.id], {}
+            for name, key in self.keys[cell.id].items():
+                if key not in claimed:
+                    claimed.add(key)
+                    parts, damaged = examined(self.out, key)
+                    for seal in damaged:
+                        tell(
+                            f"{seal.with_suffix('').with_suffix('')}: altered or torn; "
+                            "computed again"
+                        )
+                    self.damaged += damaged
+                    self.losses[key] = Loss.of(errors(parts, goal, lost=True))
+                    self.there[key] = min(sum(part.stop - part.start for part in parts), goal)
+                    done[name] = parts
+                self._check(cell, name)
+            if cell.id not in self.stopped:
+                tasks += _tasks(cell, self.keys[cell.id], done, goal)
+        return tasks
+
+    def _note(self, task: Task, losses: Mapping[str, Loss]) -> None:
+        """Enter what became of a task."""
+        self.computed += task.size
+        for name, key in task.keys.items():
+            self.losses[key] += losses.get(name, Loss())
+            self.there[key] += task.stop - task.start
+            self._check(task.cell, name)
+
+    def _check(self, cell: Cell, name: str) -> None:
+        """Stop the cell if one estimator failed too often: more than the limit, or every one of the
+        first hundred.
+        """
+        key, goal, most = self.keys[cell.id][name], self.goal[cell.id], self.options.max_failed
+        loss, there = self.losses[key], self.there[key]
+        hopeless = most < 1 and loss.count == there >= _HOPELESS
+        if cell.id not in self.stopped and (loss.count > most * goal or hopeless):
+            again = replay_command(self.out, cell.id, name, loss.first, cell.config, cell.plugins)
+            self.stopped[cell.id] = (
+                f"cell {cell.id} ({cell.scenario_name}, {cell.noise_name}) stopped: "
+                f"{name!r} failed in {loss.count} of {there} replications, "
+                f"more than runner.max_failed={most:g} of {goal}; "
+                f"replication {loss.first}: {loss.message}{f' ({again})' if again else ''}"
+            )
+
+    def _precise(self, cell: Cell, until: Until) -> bool:
+        """Whether the means of the cell's estimators are known well enough; one without any value
+        does not count.
+        """
+        goal = self.goal[cell.id]
+        rows: dict[str, dict[str, Any]] = {}
+        for name, key in self.keys[cell.id].items():
+            mean = statistics.mean(values(self.out, key, until.metric, goal))
+            relative = mean.se / abs(mean.value) if mean.value else math.nan
+            wanted = [(mean.se, until.se), (relative, until.relative_se)]
+            reached = all(limit is None or error <= limit for error, limit in wanted)
+            rows[name] = {
+                "metric": until.metric,
+                "replications": goal,
+                "mean": mean.value,
+                "se": mean.se,
+                "relative_se": relative,
+                "wanted_se": until.se,
+                "wanted_relative_se": until.relative_se,
+                "reached": reached,
+            }
+        self.precision[cell.id] = rows
+        return all(row["reached"] or math.isnan(row["mean"]) for row in rows.values())
+
+    def _tabulate(self) -> int:
+        """Make the tables and measure times; returns how many estimator-replications the cells
+        show.
+        """
+        known, shown = known_timing(self.out), 0
+        for cell in self.cells:
+            keys = self.keys[cell.id]
+            reps = dict.fromkeys(keys, self.goal[cell.id])
+            if cell.id in self.stopped:  # whatever is there without a gap
+                reps = {name: self._prefix(cell, key) for name, key in keys.items()}
+            shown += sum(reps.values())
+            precision = self.precision.get(cell.id, {})
+            record_cell(self.out, cell, keys, self.draws[cell.id], known, reps, precision)
+        tables.collect(self.out, {cell.id for cell in self.cells})
+        fresh: dict[str, Any] = {}
+        for cell in self.cells:
+            if cell.id not in self.stopped:
+                fresh |= _timed(
+                    cell,
+                    {n: key for n, key in self.keys[cell.id].items() if key not in known | fresh},
+                )
+        tables.note_timing(self.out, fresh)
+        return shown
+
+    def _prefix(self, cell: Cell, key: str) -> int:
+        done = [(part.start, part.stop) for part in intact_parts(self.out, key, kind_of(cell))]
+        gaps = missing_ranges(done, self.goal[cell.id])
+        return gaps[0][0] if gaps else self.goal[cell.id]
+
+
+def merged(cells: Sequence[Cell]) -> list[Cell]:
+    """Cells that are the same scenario, noise, seed and parameters as one, with all their
+    estimators; largest first.
+    """
+    found: dict[str, Cell] = {}
+    for cell in cells:
+        other = found.setdefault(cell.id, cell)
+        if other is not cell:
+            config = dict(other.config)
+            for group in ("filter", "estimator"):
+                config[group] = {**(other.config[group] or {}), **(cell.config[group] or {})}
+            found[cell.id] = replace(
+                other,
+                estimators={**other.estimators, **cell.estimators},
+                config=config,
+                reps=max(other.reps, cell.reps),
+                swept=tuple(dict.fromkeys((*other.swept, *cell.swept))),
+            )
+    return sorted(found.values(), key=lambda cell: -cell.reps)
+
+
+def _tasks(
+    cell: Cell, keys: Mapping[str, str], done: Mapping[str, list[Part]], goal: int
+) -> Iterator[Task]:
+    """Blocks of whole tiles of what is missing of the estimators in `done`, whose parts are there.
+
+    Estimators of one tile size that miss the same share a block, and so its draws.
+    """
+    gaps: dict[tuple[int, int, int], dict[str, str]] = defaultdict(dict)
+    for name, parts in done.items():
+        ranges = [(part.start, part.stop) for part in parts if kind_of(cell) in part.files]
+        for gap in missing_ranges(ranges, goal):
+            gaps[*gap, tiles.tile_of(cell.estimators[name], cell.scenario)][name] = keys[name]
+    for (start, stop, tile), names in sorted(gaps.items()):
+        chunk = cell.runner.chunk or min(
+            math.ceil((stop - start) / (16 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK
+        )
+        chunk = math.ceil(chunk / tile) * tile
+        for first in range(start - start % chunk, stop, chunk):
+            yield Task(cell, names, max(first, start), min(first + chunk, stop))
+
+
+def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
+    """Serial timings, by part key, of some of the cell's estimators."""
+    if not keys:
+        return {}
+    estimators = {name: cell.estimators[name] for name in keys}
+    repeats = (
+        1 if cell.reps < _FEW else 3
+    )  # of many small cells nobody wants to wait for the timing
+    measured = time_estimators(cell.scenario, cell.noise, estimators, cell.seed, repeats)
+    return {
+        keys[name]: {
+            "seconds_per_step": seconds / (replications * steps),
+            "seconds_per_replication": seconds / replications,
+            "replications": replications,
+            "steps": steps,
+        }
+        for name, (seconds, replications, steps) in measured.items()
+    }

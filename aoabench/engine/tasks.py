@@ -1,0 +1,83 @@
+"""A task: one block of replications of one cell, computed by a worker, which writes its parts itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from aoabench.cell import Cell
+from aoabench.engine.block import run_block
+from aoabench.store.files import provenance
+from aoabench.store.parts import has_part, write_part
+
+
+@dataclass(frozen=True)
+class Task:
+    """Replications start..stop-1 of one cell for some of its estimators (name -> part key)."""
+
+    cell: Cell
+    keys: Mapping[str, str]
+    start: int
+    stop: int
+
+    @property
+    def size(self) -> int:
+        """Replications times estimators."""
+        return (self.stop - self.start) * len(self.keys)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What one estimator's exceptions and undeclared NaN cost: how many replications, and the first
+    one's message.
+    """
+
+    count: int = 0
+    first: int = -1
+    message: str = ""
+
+    def __add__(self, other: Loss) -> Loss:
+        if not self.count or not other.count:
+            return self if self.count else other
+        early = min(self, other, key=lambda loss: loss.first)
+        return Loss(self.count + other.count, early.first, early.message)
+
+    @classmethod
+    def of(cls, errors: Mapping[int, str]) -> Loss:
+        """From messages by replication."""
+        return cls(len(errors), min(errors), errors[min(errors)]) if errors else cls()
+
+
+def kind_of(cell: Cell) -> str:
+    """What a part must hold to be of use to the cell."""
+    return "steps" if cell.runner.steps else "rows"
+
+
+def compute(task: Task, out: Path) -> dict[str, Loss]:
+    """Compute one task and write its parts; returns what was lost by estimator. Runs in a worker.
+
+    What somebody finished since the task was planned (a worker that outlived its killed parent) is
+    not computed again.
+    """
+    cell = task.cell
+    kind, span = kind_of(cell), (task.start, task.stop)
+    missing = [name for name, key in task.keys.items() if not has_part(out, key, *span, kind)]
+    estimators = {name: cell.estimators[name] for name in missing}
+    blocks = run_block(cell.scenario, cell.noise, estimators, cell.seed, *span, cell.runner.steps)
+    losses = {}
+    for name, block in blocks.items():
+        origin = provenance({**cell.config, "this_estimator": name})
+        write_part(out, task.keys[name], *span, block, origin)
+        if "failures" in block:
+            errors = dict(
+                zip(block["failures"]["replication"].tolist(), block["failures"]["error"])
+            )
+            losses[name] = Loss.of(
+                {r: errors[r] for r in block["failures"]["replication"][block["failures"]["lost"]]}
+            )
+    return losses
+
+
+def numbered(number: int, task: Task, out: Path) -> tuple[int, dict[str, Loss]]:
+    return number, compute(task, out)

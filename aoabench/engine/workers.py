@@ -1,0 +1,162 @@
+"""Tasks on workers: processes, threads or a Dask cluster over joblib."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from aoabench.engine.dask import cluster, compute_remotely, wait_until_seen
+from aoabench.engine.tasks import Loss, Task, numbered
+from aoabench.store.keys import code_key
+
+_WAITING_TASKS = 256  # handed to a cluster ahead, for workers that come later
+
+
+def cores(n_jobs: int) -> int:
+    """Number of workers for `n_jobs`; -1: all the process may use (affinity, containers)."""
+    from joblib import cpu_count
+
+    return cpu_count() if n_jobs < 0 else n_jobs
+
+
+def compute_all(
+    tasks: Sequence[Task],
+    out: Path,
+    progress: bool,
+    note: Callable[[Task, Mapping[str, Loss]], None],
+    skip: Callable[[Task], bool],
+) -> None:
+    """Compute tasks, but those to skip when their turn comes, and note what became of each."""
+    from joblib import Parallel, delayed
+
+    if not tasks:
+        return
+    prepare(tasks, progress)
+    options = tasks[0].cell.runner
+    workers = min(cores(options.n_jobs), len(tasks))
+    with _bar(sum(task.size for task in tasks), progress) as advance:
+
+        def finish(number: int, losses: Mapping[str, Loss]) -> None:
+            note(tasks[number], losses)
+            advance(tasks[number].size)
+
+        if options.backend == "dask":
+            # every worker opens the folder by its full name, so that its own working folder does
+            # not matter
+            where, codes = (
+                out.resolve(),
+                {task.cell.id: code_key(task.cell) for task in tasks},
+            )
+            with cluster(options.address, tasks) as backend:
+                parallel = Parallel(
+                    -1,
+                    backend=backend,
+                    return_as="generator_unordered",
+                    pre_dispatch=_WAITING_TASKS,
+                    batch_size=1,
+                )
+                calls = (
+                    (i, t, where, codes[t.cell.id]) for i, t in enumerate(tasks) if not skip(t)
+                )
+                for found in parallel(delayed(compute_remotely)(*call) for call in calls):
+                    wait_until_seen(tasks[found[0]], out)
+                    finish(*found)
+            return
+        if workers == 1 or options.backend == "sequential":
+            for i, task in enumerate(tasks):
+                if not skip(task):
+                    finish(*numbered(i, task, out))
+            return
+        # threads share one BLAS: limit it here, once, not in each block
+        limit = threadpool_limits(1) if options.backend == "threading" else nullcontext()
+        settle = (
+            {"initializer": _settle, "initargs": (list(sys.path), os.getpid())}
+            if options.backend == "loky"
+            else {}
+        )
+        parallel = Parallel(
+            workers,
+            backend=options.backend,
+            return_as="generator_unordered",
+            pre_dispatch="2*n_jobs",
+            max_nbytes=None,  # no arrays by way of pickles on disk
+            **settle,
+        )
+        with limit:
+            for found in parallel(
+                delayed(numbered)(i, task, out) for i, task in enumerate(tasks) if not skip(task)
+            ):
+                finish(*found)
+
+
+def prepare(tasks: Sequence[Task], progress: bool) -> None:
+    """Let estimators compile or load what they need here, once, before workers ask for it all at
+    the same time.
+    """
+    said: set[str] = set()
+
+    def say(line: str) -> None:
+        if progress and line not in said:
+            said.add(line)
+            print(line, file=sys.stderr, flush=True)
+
+    for estimator in {id(e): e for task in tasks for e in task.cell.estimators.values()}.values():
+        if hasattr(estimator, "prepare"):
+            estimator.prepare(say)
+
+
+def _settle(path: list[str], parent: int) -> None:
+    """In a worker process: import from where the parent does, and end when it is gone, however it
+    went.
+    """
+    sys.path[:] = path
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.25)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _bar(total: int, shown: bool) -> Iterator[Any]:
+    """A progress bar on standard error: replications done, rate, time left. Quiet where nobody
+    watches.
+    """
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("replications"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(
+        *columns, console=console, disable=not (shown and console.is_terminal), transient=True
+    ) as bar:
+        line = bar.add_task("", total=total, rate="")
+
+        def advance(n: int) -> None:
+            bar.advance(line, n)
+            speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
+            bar.update(line, rate=f"{speed:,.0f}/s" if speed else "")
+
+        yield advance

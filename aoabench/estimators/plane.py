@@ -1,0 +1,78 @@
+"""Rays and the plane of a known height [Boquet 2024, 2.2.1]; shared by the methods in the plane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from aoabench.errors import BadValue
+from aoabench.maths.geometry import Array, to_unit
+from aoabench.types import Anchors, Batch, Estimates, Outcome
+
+
+def directions(batch: Batch) -> Array:
+    """Measured directions (R, T, B, 3), unit vectors in the global frame; NaN where an angle is not
+    measured.
+    """
+    u = to_unit(batch.azimuth, batch.elevation)
+    return (u[..., None, :] @ batch.anchors.rotation[:, None])[..., 0, :]
+
+
+def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array:
+    """Where rays along unit vectors u (R, T, B, 3) from the anchors meet the plane z = height: (R,
+    T, B, 2) m.
+
+    A ray that would meet it further than `horizon` rad below the horizon allows, or never, is
+    turned down (or up, towards the plane) to that angle; an exactly vertical one meets it at the
+    anchor.
+    """
+    s = anchors.position[:, None]
+    h = height - s[..., 2]
+    flat = np.hypot(u[..., 0], u[..., 1])
+    towards = np.maximum(u[..., 2] * np.sign(h), flat * np.tan(horizon))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        reach = np.where(flat > 0, np.abs(h) / towards, 0.0)
+    return s[..., :2] + np.where(np.isfinite(flat), reach, np.nan)[..., None] * u[..., :2]
+
+
+def known_height(scenario: Any) -> float | None:
+    """The height m at which the scenario says that its target is; None where it says none, or no
+    single one.
+    """
+    height = getattr(scenario, "height_m", None)
+    return height if isinstance(height, int | float) else None
+
+
+def plane_of(height_m: float | None, scenario: Any) -> float:
+    """The height m that a method was given, or else the scenario's. BadValue where none is, or an
+    anchor in it.
+    """
+    height = known_height(scenario) if height_m is None else height_m
+    if height is None:
+        raise BadValue(
+            "height_m",
+            None,
+            "a number of m: the scenario does not say at which height its target is",
+        )
+    level = np.abs(scenario.known_anchors.position[..., 2] - height) < 1e-9
+    if level.any():
+        raise BadValue(
+            "height_m",
+            height,
+            f"a height other than that of anchor {np.flatnonzero(level.any(0))[0] + 1}",
+        )
+    return float(height)
+
+
+def clipped(xy: Array, scenario: Any, clip: bool) -> Array:
+    """Points (..., 2) m moved into the scenario's bounds, if it has any and `clip` says so."""
+    bounds = getattr(scenario, "bounds_m", None)
+    return xy if bounds is None or not clip else np.clip(xy, *np.asarray(bounds))
+
+
+def in_plane(xy: Array, score: Array | None, used: Array) -> Estimates:
+    """Estimates from positions (R, T, 2) m: `failed` where they are NaN; z is NaN."""
+    position = np.concatenate([xy, np.full((*xy.shape[:2], 1), np.nan)], axis=-1)
+    outcome = np.where(np.isfinite(xy).all(-1), Outcome.OK, Outcome.FAILED).astype(np.int8)
+    return Estimates(position, None, None, outcome, score, used)

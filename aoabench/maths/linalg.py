@@ -1,0 +1,43 @@
+"""Small systems of equations, many at once; a singular one does not stop the others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aoabench.maths.geometry import Array
+
+SINGULAR = 1e-12  # a pivot that lost more than this of its diagonal element
+
+
+def solve(A: Array, g: Array) -> Array:
+    """A^-1 g, A symmetric (..., 3, 3), g (..., 3), by Cholesky; NaN where a pivot vanishes."""
+    d0 = A[..., 0, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        l10, l20 = A[..., 1, 0] / d0, A[..., 2, 0] / d0
+        d1 = A[..., 1, 1] - l10 * A[..., 1, 0]
+        e = A[..., 2, 1] - l20 * A[..., 1, 0]
+        l21 = e / d1
+        d2 = A[..., 2, 2] - l20 * A[..., 2, 0] - l21 * e
+        y1 = g[..., 1] - l10 * g[..., 0]
+        y2 = g[..., 2] - l20 * g[..., 0] - l21 * y1
+        z = y2 / d2
+        y = y1 / d1 - l21 * z
+        x = g[..., 0] / d0 - l10 * y - l20 * z
+    sound = (d0 > 0) & (d1 > SINGULAR * A[..., 1, 1]) & (d2 > SINGULAR * A[..., 2, 2])
+    return np.where(sound[..., None], np.stack([x, y, z], axis=-1), np.nan)
+
+
+def cholesky(A: Array) -> Array:
+    """Lower factor (..., n, n) of each A (..., n, n); NaN where A is not positive definite.
+
+    numpy's own raises for the whole stack when a single matrix is not.
+    """
+    n = A.shape[-1]
+    L = np.zeros_like(A)
+    for j in range(n):
+        row = L[..., j, :j]
+        pivot = A[..., j, j] - (row * row).sum(-1)
+        L[..., j, j] = root = np.sqrt(np.where(pivot > 0, pivot, np.nan))
+        for i in range(j + 1, n):
+            L[..., i, j] = (A[..., i, j] - (L[..., i, :j] * row).sum(-1)) / root
+    return L

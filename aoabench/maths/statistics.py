@@ -1,0 +1,215 @@
+"""Monte Carlo standard errors and paired differences.
+
+Replications are independent, so the standard errors are those of independent draws; steps within a
+replication are never treated as draws. NaN values (failed replications) are left out of means and
+counted in the failure rate. Intervals that need more than value and standard error are in
+`intervals`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aoabench.maths import intervals
+from aoabench.maths.intervals import finite, normal_quantile
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and its Monte Carlo standard error (NaN where too few values tell)."""
+
+    value: float
+    se: float
+
+    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Normal confidence interval."""
+        half = normal_quantile(confidence) * self.se
+        return self.value - half, self.value + half
+
+
+def mean(values: ArrayLike) -> Estimate:
+    """Mean over replications (N,)."""
+    x = finite(values)
+    if len(x) == 0:
+        return Estimate(math.nan, math.nan)
+    return Estimate(
+        float(x.mean()), float(x.std(ddof=1) / math.sqrt(len(x))) if len(x) > 1 else math.nan
+    )
+
+
+def pooled_rmse(rmse: ArrayLike, fixes: ArrayLike | None = None) -> Estimate:
+    """Root of the mean square over all fixes, from each replication's RMSE (N,) and number of
+    accepted fixes (N,).
+
+    A ratio of means, so its standard error comes from the delta method over replications.
+    """
+    r = np.asarray(rmse, dtype=float)
+    n = np.ones_like(r) if fixes is None else np.asarray(fixes, dtype=float)
+    keep = np.isfinite(r) & (n > 0)
+    r, n = r[keep], n[keep]
+    if len(r) == 0:
+        return Estimate(math.nan, math.nan)
+    square = float((n * r**2).sum() / n.sum())
+    root = math.sqrt(square)
+    if len(r) < 2 or root == 0.0:
+        return Estimate(root, math.nan)
+    influence = n * (r**2 - square) / n.mean()
+    return Estimate(root, float(influence.std(ddof=1) / math.sqrt(len(r)) / (2 * root)))
+
+
+def quantile(values: ArrayLike, probability: float) -> Estimate:
+    """Quantile over replications (N,) with the Maritz-Jarrett standard error.
+
+    That is the deviation, under the empirical distribution, of the order statistic nearest to the
+    quantile.
+    """
+    x = np.sort(finite(values))
+    n = len(x)
+    if n == 0:
+        return Estimate(math.nan, math.nan)
+    value = float(np.quantile(x, probability))
+    if n < 3:
+        return Estimate(value, math.nan)
+    from scipy.special import betainc
+
+    m = min(max(math.floor(probability * n + 0.5), 1), n)
+    w = np.diff(betainc(m, n - m + 1, np.arange(n + 1) / n))
+    return Estimate(value, math.sqrt(float(w @ (x - w @ x) ** 2)))
+
+
+def cep(error: ArrayLike, probability: float = 0.5, axis: int = 0) -> Estimate:
+    """Quantile of all fixes' errors (R, T) m (NaN: no fix): of horizontal ones the circular error
+    probable.
+
+    Independent units lie along `axis`: 0 replications, 1 positions that all replications share. The
+    standard error is that of `intervals.cep_interval`, at two thirds' confidence.
+    """
+    e = finite(np.ravel(np.asarray(error, dtype=float)))
+    low, high = intervals.cep_interval(error, probability, axis, confidence=2 / 3)
+    half = (high - low) / (2 * normal_quantile(2 / 3))
+    return Estimate(float(np.quantile(e, probability)) if len(e) else math.nan, half)
+
+
+def rate(count: int, n: int) -> Estimate:
+    """A proportion with its standard error; half a count is added at 0 and n so that the error is
+    never 0.
+    """
+    if n == 0:
+        return Estimate(math.nan, math.nan)
+    p = min(max(count, 0.5), n - 0.5) / n if n > 1 else 0.5
+    return Estimate(count / n, math.sqrt(p * (1 - p) / n))
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Mean of a - b over n paired replications; `percent` is 100 (mean a / mean b - 1).
+
+    `units` independent ones tell the standard errors: the replications, or the positions that these
+    share.
+    """
+
+    n: int
+    difference: Estimate
+    percent: Estimate
+    p_value: float
+    units: int
+
+    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Student-t interval of the difference."""
+        return self._around(self.difference, confidence)
+
+    def percent_interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Student-t interval of the percentage."""
+        return self._around(self.percent, confidence)
+
+    def _around(self, estimate: Estimate, confidence: float) -> tuple[float, float]:
+        from scipy.special import stdtrit
+
+        half = float(stdtrit(max(self.units - 1, 1), 0.5 + confidence / 2)) * estimate.se
+        return estimate.value - half, estimate.value + half
+
+
+def paired(a: ArrayLike, b: ArrayLike, influences: tuple[Array, Array] | None = None) -> Paired:
+    """Paired comparison of values (N,) of two estimators over the same replications; pairs with a
+    NaN are left out.
+
+    `influences` of shared positions (P,) on the two means (Clusters.influence) cluster the standard
+    errors by position.
+    """
+    from scipy.special import stdtr
+
+    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    keep = np.isfinite(x) & np.isfinite(y)
+    x, y = x[keep], y[keep]
+    u, v = (x, y) if influences is None else influences
+    n, units = len(x), len(u)
+    if n < (2 if influences is None else 1) or units < 2:
+        nothing = Estimate(math.nan, math.nan)
+        return Paired(n, nothing, nothing, math.nan, units)
+    difference = Estimate(float((x - y).mean()), mean(u - v).se)
+    ratio = x.mean() / y.mean() if y.mean() else math.nan
+    spread = (
+        mean(u - ratio * v).se / abs(y.mean()) if y.mean() else math.nan
+    )  # delta method for a ratio of means
+    t = (
+        difference.value / difference.se
+        if difference.se > 0
+        else (0.0 if difference.value == 0 else math.inf)
+    )
+    p = 2 * float(stdtr(units - 1, -abs(t)))
+    return Paired(n, difference, Estimate(100 * (ratio - 1), 100 * spread), p, units)
+
+
+def paired_rate(a: ArrayLike, b: ArrayLike) -> Paired:
+    """Paired comparison of what happened (N,) or not to two estimators in the same replications.
+
+    `percent` is the difference in percentage points, shrunken and with the error of [Bonett, Price
+    2012], whose Wald interval covers where few or none differ; the p-value is McNemar's exact one.
+    """
+    from scipy.special import betainc
+
+    x, y = np.asarray(a, dtype=bool), np.asarray(b, dtype=bool)
+    n, more, fewer = len(x), int((x & ~y).sum()), int((~x & y).sum())
+    if n < 1:
+        nothing = Estimate(math.nan, math.nan)
+        return Paired(n, nothing, nothing, math.nan, n)
+    up, down = (more + 1) / (n + 2), (fewer + 1) / (n + 2)
+    shift = Estimate(up - down, math.sqrt((up + down - (up - down) ** 2) / (n + 2)))
+    m, k = more + fewer, min(more, fewer)
+    p = (
+        1.0 if more == fewer else min(1.0, 2 * float(betainc(m - k, k + 1, 0.5)))
+    )  # P(B <= k), B binomial (m, 1/2)
+    return Paired(
+        n, Estimate((more - fewer) / n, shift.se), Estimate(100 * shift.value, 100 * shift.se), p, n
+    )
+
+
+def needed(
+    pair: Paired, percent: float, comparisons: int = 1, level: float = 0.05, power: float = 0.8
+) -> float:
+    """How many independent units (see Paired) would show a true difference of that many per cent.
+
+    With probability `power`, at the two-sided `level` shared among that many comparisons; NaN where
+    nothing tells.
+    """
+    from scipy.special import ndtri
+
+    z = float(ndtri(1 - level / (2 * max(comparisons, 1))) + ndtri(power))
+    return pair.units * (z * pair.percent.se / percent) ** 2
+
+
+def ratio(numerator: ArrayLike, denominator: ArrayLike) -> Estimate:
+    """sum of numerators / sum of denominators over independent units (N,), standard error by the
+    delta method.
+    """
+    x, n = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
+    if not n.sum() > 0:
+        return Estimate(math.nan, math.nan)
+    value = float(x.sum() / n.sum())
+    return Estimate(value, mean((x - value * n) / n.mean()).se)

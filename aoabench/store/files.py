@@ -1,0 +1,162 @@
+"""Writing files atomically, with provenance and checksums; the lock of a run's folder."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import json
+import os
+import platform
+import sys
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+from aoabench.columns import IDENTITY
+from aoabench.resources import version
+
+
+def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = None) -> pa.Schema:
+    """The fixed Arrow schema of a table, with provenance as metadata."""
+    import pyarrow as pa
+
+    types = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "bool": pa.bool_()}
+    types |= {
+        "floats": pa.list_(pa.float32()),
+        "bytes": pa.list_(pa.int8()),
+        "ints": pa.list_(pa.int32()),
+    }
+    meta = {"aoabench": json.dumps(provenance, default=str)} if provenance else None
+    return pa.schema([(name, types[kind]) for name, kind in columns.items()], metadata=meta)
+
+
+def provenance(config: Any = None) -> dict[str, Any]:
+    """Where numbers come from: config, versions, processor, time."""
+    return {
+        "config": config,
+        "aoabench": version("aoabench"),
+        "python": sys.version.split()[0],
+        "libraries": {
+            n: version(n)
+            for n in ("numpy", "scipy", "pandas", "pyarrow", "hydra-core", "joblib", "numba")
+        },
+        "cpu_features": _cpu_features(),
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+@functools.cache
+def _cpu_features() -> list[str]:
+    found = np.show_config(mode="dicts").get("SIMD Extensions", {})
+    return sorted([*found.get("baseline", []), *found.get("found", [])])
+
+
+@contextlib.contextmanager
+def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
+    """Hold the folder's lock: one run at a time writes into it; `say` gets a line if another one
+    has to end first.
+
+    The system lets go of the lock whatever ends the process. Where file systems have no locks, runs
+    that overlap compute some parts twice and the tables show the cells of the one that ended last.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        (out / ".lock").touch()
+        yield
+        return
+    with (out / ".lock").open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            say(
+                f"another run{file.readline().rstrip()} is writing into {out}: "
+                "waiting until it has ended ..."
+            )
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except OSError as error:
+            say(
+                f"{out}: no file locks here ({error.strerror}); "
+                "do not start two runs into it at once"
+            )
+        file.truncate(0)
+        file.write(f" (process {os.getpid()} on {platform.node()})\n")
+        file.flush()
+        yield
+        file.truncate(0)
+
+
+def write_atomically(path: Path, write: Any) -> None:
+    """Call `write(temporary path)` and move the result to `path`, so that a reader never sees half
+    a file.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> str:
+    """Columns of equal length to a Parquet file of this schema, atomically; returns the checksum of
+    its content.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    def column(field: pa.Field) -> pa.Array:
+        values = columns[field.name]
+        if pa.types.is_list(field.type):  # a row of an array (N, T) each
+            offsets = np.arange(len(values) + 1, dtype=np.int32) * np.shape(values)[1]
+            return pa.ListArray.from_arrays(
+                offsets, pa.array(np.ravel(values), type=field.type.value_type)
+            )
+        return pa.array(values, type=field.type, from_pandas=field.name in IDENTITY)
+
+    table = pa.table([column(field) for field in schema_], schema=schema_)
+    checksum = ""
+
+    def write(temporary: Path) -> None:
+        nonlocal checksum
+        pq.write_table(table, temporary, compression="zstd")
+        checksum = file_checksum(temporary)
+
+    write_atomically(path, write)
+    return checksum
+
+
+def write_frame(path: Path, frame: pd.DataFrame, origin: Mapping[str, Any] | None = None) -> None:
+    """A pandas frame to Parquet, atomically, with provenance."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.Table.from_pandas(frame, preserve_index=False)
+    meta = {
+        **(table.schema.metadata or {}),
+        b"aoabench": json.dumps(origin or provenance(), default=str).encode(),
+    }
+    table = table.replace_schema_metadata(meta)
+    write_atomically(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+
+
+def read_provenance(path: Path) -> dict[str, Any]:
+    """The provenance that a Parquet file of ours carries; {} if none."""
+    import pyarrow.parquet as pq
+
+    text = (pq.read_schema(path).metadata or {}).get(b"aoabench")
+    return json.loads(text) if text else {}
+
+
+def file_checksum(path: Path) -> str:
+    return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()

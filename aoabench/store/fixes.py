@@ -1,0 +1,94 @@
+"""Every fix of replications that share their true positions."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from aoabench.errors import UserError
+from aoabench.store.parts import intact_parts
+from aoabench.store.summary import Clusters, position_sums
+from aoabench.types import Outcome
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+from aoabench.store.folder import noted_parts, read_record
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Every fix of one estimator in one cell whose replications share their true positions; arrays
+    (R, T).
+
+    error_3d_m, error_xy_m in m (NaN: no position), iterations, score and anchors_used of
+    types.Estimates (NaN: none told), outcome of types.Outcome, place the number of the true
+    position, which several fixes may share.
+    """
+
+    error_3d_m: np.ndarray
+    error_xy_m: np.ndarray
+    iterations: np.ndarray
+    score: np.ndarray
+    anchors_used: np.ndarray
+    outcome: np.ndarray
+    place: np.ndarray | None = None
+
+
+def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
+    """Fixes of one estimator in one cell of the run in `out`; UserError where there are none."""
+    entry = read_record(Path(out) / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
+    found = (
+        [] if entry is None else [_fixes(part) for part in noted_parts(Path(out), entry, "fixes")]
+    )
+    if not found:
+        raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r}")
+    return Fixes(
+        **{f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Fixes)}
+    )
+
+
+def _fixes(part: pa.Table) -> Fixes:
+    arrays = {}
+    for f in fields(Fixes):
+        column = part[f.name].combine_chunks()
+        arrays[f.name] = column.flatten().to_numpy(zero_copy_only=False).reshape(len(part), -1)
+    return Fixes(**arrays)
+
+
+def clusters(
+    out: str | os.PathLike[str],
+    cell: str,
+    estimator: str,
+    replications: Iterable[int] | None = None,
+) -> Clusters | None:
+    """Sums per true position over all, or some, replications of one estimator in one cell, read
+    part by part.
+
+    None where the replications do not share their positions.
+    """
+    import pyarrow as pa
+
+    root = Path(out)
+    entry = read_record(root / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
+    if entry is None or not intact_parts(root, entry["key"], "fixes"):
+        return None
+    wanted = None if replications is None else np.fromiter(replications, dtype=np.int64)
+    total: Clusters | None = None
+    place: np.ndarray | None = None
+    for part in noted_parts(root, entry, "fixes"):
+        if wanted is not None:
+            part = part.filter(pa.array(np.isin(part["replication"].to_numpy(), wanted)))
+            if len(part) == 0:
+                continue
+        one = _fixes(part)
+        accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED]) & np.isfinite(
+            one.error_xy_m
+        )
+        found = position_sums(one.error_3d_m, one.error_xy_m, one.iterations, accepted)
+        total, place = found if total is None else total + found, one.place
+    return None if total is None or place is None else total.grouped(place[0])

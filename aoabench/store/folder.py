@@ -1,0 +1,181 @@
+"""The records of a run's folder: which cells, estimators and replications its tables show."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aoabench.columns import IDENTITY, KINDS
+from aoabench.errors import RunError
+from aoabench.store.files import provenance, schema, write_atomically
+from aoabench.store.parts import Part, intact_parts
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def record_cell(
+    out: Path,
+    cell: Any,
+    keys: Mapping[str, str],
+    draws: str,
+    timing: Mapping[str, Any],
+    reps: Mapping[str, int],
+    precision: Mapping[str, Any],
+) -> None:
+    """Note that the tables of `out` shall show this cell with the first `reps` replications of
+    these estimators.
+
+    `precision` is what each reached of cell.runner.until.
+
+    Estimators noted earlier stay, if they saw the same draws; those of an older simulation are
+    dropped, because nobody may pair them.
+    """
+    path = out / "cells" / f"{cell.id}.json"
+    before = read_record(path)
+    if before.get("draws") != draws:
+        before = {"experiment": before.get("experiment")}
+    entries = dict(before.get("estimators", {}))
+    for name, key in keys.items():
+        if not reps[name]:
+            entries.pop(name, None)
+            continue
+        entries[name] = {
+            "key": key,
+            "reps": reps[name],
+            "steps": cell.runner.steps,
+            "timing": timing.get(key),
+        }
+        entries[name] |= {"precision": precision.get(name)}
+    config = dict(cell.config)
+    for group in ("filter", "estimator"):
+        config[group] = {
+            **(before.get("config", {}).get(group) or {}),
+            **(cell.config.get(group) or {}),
+        }
+    record = {
+        "cell": cell.id,
+        "experiment": cell.experiment or before.get("experiment"),
+        "scenario": cell.scenario_name,
+        "noise": cell.noise_name,
+        "seed": cell.seed,
+        "draws": draws,
+        "changed": dict(cell.changed),
+        "swept": list(cell.swept),
+        "config": config,
+        "estimators": entries,
+        "plugins": list(cell.plugins),
+        "provenance": provenance(),
+    }
+    if entries:
+        write_record(out, record)
+
+
+def write_record(out: Path, record: Mapping[str, Any]) -> None:
+    text = json.dumps(record, indent=1, default=str)
+    write_atomically(
+        out / "cells" / f"{record['cell']}.json", lambda t: t.write_text(text, encoding="utf-8")
+    )
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """A cell's record; {} if there is none, it is torn, or it names files elsewhere."""
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
+        record = json.loads(path.read_text(encoding="utf-8"))
+        keys = [entry["key"] for entry in record.get("estimators", {}).values()]
+        if record["cell"] == path.stem and all(key.isalnum() for key in keys):
+            return record
+    return {}
+
+
+def records(out: Path) -> list[dict[str, Any]]:
+    """The noted cells, by name."""
+    found = [read_record(path) for path in sorted((out / "cells").glob("*.json"))]
+    return [record for record in found if record]
+
+
+def known_timing(out: Path) -> dict[str, Any]:
+    """Timings noted so far, by part key."""
+    return {
+        e["key"]: e["timing"]
+        for r in records(out)
+        for e in r["estimators"].values()
+        if e.get("timing")
+    }
+
+
+def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, str]:
+    """What went wrong in the first `reps` replications of some parts, by number; `lost`: where no
+    position was left.
+    """
+    import pyarrow.parquet as pq
+
+    found: dict[int, str] = {}
+    for file in (part.files["failures"] for part in parts if "failures" in part.files):
+        for row in pq.read_table(file, schema=schema(KINDS["failures"])).to_pylist():
+            if row["replication"] < reps and (row["lost"] or not lost):
+                found[row["replication"]] = row["error"]
+    return found
+
+
+def replay_command(
+    out: Path | str,
+    cell: str,
+    estimator: str,
+    replication: int,
+    config: Mapping[str, Any],
+    plugins: Sequence[str] = (),
+) -> str | None:
+    """The command that repeats one replication with its trace; None for an estimator that no preset
+    describes.
+    """
+    if estimator not in {**(config.get("filter") or {}), **(config.get("estimator") or {})}:
+        return None
+    words = [
+        "aoabench",
+        "replay",
+        str(out),
+        "--cell",
+        cell,
+        "--estimator",
+        estimator,
+        "--replication",
+        str(replication),
+    ]
+    return shlex.join([*words, "--plugins", ",".join(plugins)] if plugins else words)
+
+
+def values(out: Path, key: str, column: str, reps: int) -> np.ndarray:
+    """One column (reps,) of the first `reps` replications of a part key."""
+    parts = noted_parts(out, {"key": key, "reps": reps}, "rows")
+    return np.concatenate([part[column].to_numpy() for part in parts])
+
+
+def noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.Table]:
+    """The parts of one noted estimator as tables, cut to its replications 0 ... reps-1 and in their
+    order.
+    """
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    inner = schema({n: type_ for n, type_ in KINDS[kind].items() if n not in IDENTITY})
+    position = 0
+    for found in intact_parts(out, entry["key"], kind):
+        if found.stop <= position or found.start >= entry["reps"]:
+            continue
+        if found.start > position:
+            break
+        part = pq.read_table(found.files[kind], schema=inner)
+        number = part["replication"]
+        keep = pc.and_(pc.greater_equal(number, position), pc.less(number, entry["reps"]))
+        position = found.stop
+        yield part.filter(keep)
+    if position < entry["reps"]:
+        gap = f"replications from {position} on of part {entry['key']} are not there any more"
+        raise RunError(f"{out}: {gap}; run the same command again")

@@ -1,0 +1,119 @@
+"""Parquet in and out: parts that are never computed twice, their keys, their provenance and
+integrity.
+
+    <out>/parts/<key>/<start>-<stop>.<kind>.<unique>.parquet
+        rows (or steps, or fixes) of one estimator in one cell, provenance as metadata
+    <out>/parts/<key>/<start>-<stop>.json
+        its seal: file names and checksums; without a matching one the part is computed again
+    <out>/parts/<key>/<start>-<stop>.json.damaged
+        a seal that did not match its files
+
+A part's key covers everything its numbers depend on (scenario, noise, this estimator's config,
+seed, source code, library versions) and nothing else; the tables that people read are made from the
+parts by `tables`.
+"""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    pass
+from aoabench.columns import IDENTITY, KINDS
+from aoabench.store.files import file_checksum, schema, write_atomically, write_table
+
+
+@dataclass(frozen=True)
+class Part:
+    """Replications start..stop-1 of one estimator, and the file of each kind (see KINDS) that it
+    consists of.
+    """
+
+    start: int
+    stop: int
+    files: Mapping[str, Path]
+
+
+def write_part(
+    out: Path,
+    key: str,
+    start: int,
+    stop: int,
+    block: Mapping[str, Mapping[str, Any]],
+    origin: Mapping[str, Any],
+) -> None:
+    """What a block found for one estimator, a table for each kind.
+
+    Files get names of their own; the seal <start>-<stop>.json, written last, names them with their
+    checksums and makes the part count. So two processes that write the same part do not mix.
+    """
+    folder, span = out / "parts" / key, f"{start:09d}-{stop:09d}"
+    written = {}
+    for kind, content in block.items():
+        path = folder / f"{span}.{kind}.{uuid.uuid4().hex[:8]}.parquet"
+        inner = {name: type_ for name, type_ in KINDS[kind].items() if name not in IDENTITY}
+        written[kind] = [path.name, write_table(path, content, schema(inner, origin))]
+    seal = json.dumps(written)
+    write_atomically(
+        folder / f"{span}.json", lambda temporary: temporary.write_text(seal, encoding="utf-8")
+    )
+
+
+def _unsealed(seal: Path) -> Part | None:
+    """The part of a seal; None if it is torn or altered or does not fit its files."""
+    try:
+        named = json.loads(seal.read_text(encoding="utf-8"))
+        files = {kind: seal.parent / Path(name).name for kind, (name, _) in named.items()}
+        good = all(file_checksum(files[kind]) == checksum for kind, (_, checksum) in named.items())
+        start, stop = (int(n) for n in seal.stem.split("-"))
+    except (OSError, ValueError, AttributeError, KeyError, TypeError):
+        return None
+    return Part(start, stop, files) if good else None
+
+
+def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:
+    """The parts whose checksums fit and that have this kind, in order; a torn or altered one is not
+    listed.
+    """
+    parts = (_unsealed(seal) for seal in sorted((out / "parts" / key).glob("*.json")))
+    return [part for part in parts if part is not None and kind in part.files]
+
+
+def has_part(out: Path, key: str, start: int, stop: int, kind: str = "rows") -> bool:
+    """Whether exactly this part is there and intact."""
+    seal = out / "parts" / key / f"{start:09d}-{stop:09d}.json"
+    part = _unsealed(seal) if seal.exists() else None
+    return part is not None and kind in part.files
+
+
+def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
+    """All intact parts, in order, and the seals that do not fit their files, renamed so that they
+    are told of once.
+    """
+    parts, damaged = [], []
+    for seal in sorted((out / "parts" / key).glob("*.json")):
+        part = _unsealed(seal)
+        if part is None:
+            damaged.append(seal.rename(f"{seal}.damaged"))
+        else:
+            parts.append(part)
+    return parts, damaged
+
+
+def missing_ranges(done: Sequence[tuple[int, int]], reps: int) -> list[tuple[int, int]]:
+    """What is left of 0..reps-1 after the ranges `done`."""
+    gaps, position = [], 0
+    for start, stop in sorted(done):
+        if start > position:
+            gaps.append((position, min(start, reps)))
+        position = max(position, stop)
+        if position >= reps:
+            break
+    if position < reps:
+        gaps.append((position, reps))
+    return [(a, b) for a, b in gaps if a < b]

@@ -1,0 +1,137 @@
+"""The summary row of one estimator in one cell, with standard errors clustered by position where
+replications share their positions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, cast
+
+import numpy as np
+
+from aoabench.maths import intervals
+from aoabench.maths.statistics import Array, Estimate, mean, pooled_rmse, quantile, rate, ratio
+
+CLUSTERED = ("rmse_3d_m", "rmse_xy_m", "rmse_z_m", "iterations")  # metrics that Clusters knows
+
+
+QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """Sums over replications for each of P true positions that all replications share; every array
+    (P,).
+
+    fixes: accepted ones; square_3d, square_xy: of their errors, m^2; iterations: theirs;
+    influence_3d, ..: what the position adds to the mean over replications of the RMSE, about that
+    mean, m; replications: how many were summed.
+    """
+
+    replications: int
+    fixes: Array
+    square_3d: Array
+    square_xy: Array
+    iterations: Array
+    influence_3d: Array
+    influence_xy: Array
+    influence_z: Array
+
+    def __add__(self, other: Clusters) -> Clusters:
+        return Clusters(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def grouped(self, place: np.ndarray) -> Clusters:
+        """The same with one position for each number among `place` (P,), which counts from 0."""
+        sums = (
+            np.bincount(place, getattr(self, f.name))
+            for f in fields(self)
+            if f.name != "replications"
+        )
+        return Clusters(self.replications, *sums)
+
+    def influence(self, metric: str) -> Array | None:
+        """P times what each position (P,) adds to the mean over replications of a metric, about it;
+        None if unknown.
+
+        The metric is a column of the replications table; the standard error of its mean is that of
+        these terms' mean.
+        """
+        if metric == "iterations":
+            n = np.maximum(self.fixes, 1e-300)  # none at all: nothing to tell, without a warning
+            return (self.iterations - n * self.iterations.sum() / n.sum()) / n.mean()
+        axis = {"rmse_3d_m": "3d", "rmse_xy_m": "xy", "rmse_z_m": "z"}.get(metric)
+        return (
+            None
+            if axis is None
+            else len(self.fixes) * getattr(self, f"influence_{axis}") / self.replications
+        )
+
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors clustered by position, by the summary's names of what they belong to.
+
+        Positions are taken as drawn independently; all fixes of one position may depend on each
+        other.
+        """
+        n = np.where(self.fixes > 0, self.fixes, np.nan)
+        squares = {
+            "3d": self.square_3d,
+            "xy": self.square_xy,
+            "z": np.maximum(self.square_3d - self.square_xy, 0.0),
+        }
+        found = {}
+        for axis, square in squares.items():
+            found[f"rmse_pooled_{axis}_m"] = pooled_rmse(np.sqrt(square / n), self.fixes).se
+            found[f"rmse_mean_{axis}_m"] = mean(cast(Array, self.influence(f"rmse_{axis}_m"))).se
+        found["iterations_mean"] = ratio(self.iterations, self.fixes).se
+        return found
+
+
+def position_sums(
+    error_3d: Array, error_xy: Array, iterations: Array, accepted: np.ndarray
+) -> Clusters:
+    """Sums per position from errors in m, iterations and whether a fix counts, each (R, P)."""
+    a, n = accepted.astype(float), np.maximum(accepted.sum(axis=1), 1)[:, None]
+    square = {"3d": np.where(accepted, error_3d, 0.0).astype(float) ** 2}
+    square["xy"] = np.where(accepted, error_xy, 0.0).astype(float) ** 2
+    square["z"] = np.maximum(square["3d"] - square["xy"], 0.0)
+    influence = {}
+    for axis, s in square.items():
+        ms = s.sum(axis=1, keepdims=True) / n
+        influence[axis] = (a * (s - ms) / (2 * np.sqrt(np.where(ms > 0, ms, np.inf)) * n)).sum(
+            axis=0
+        )
+    counted = np.where(accepted, iterations, 0.0).sum(axis=0)
+    sums = a.sum(axis=0), square["3d"].sum(axis=0), square["xy"].sum(axis=0), counted
+    return Clusters(len(a), *sums, influence["3d"], influence["xy"], influence["z"])
+
+
+def summarise(rows: Any, clusters: Clusters | None = None) -> dict[str, Any]:
+    """One row of the summary table from the replications (a frame) of one estimator in one cell.
+
+    With `clusters`, standard errors of RMSE and iterations are clustered by position (`se_by`);
+    those of quantiles and of the failure rate, whose 95 % interval is Wilson's, are always over
+    replications.
+    """
+    n = len(rows)
+    accepted = rows["n_ok"] + rows["n_oscillated"] + rows["n_diverged"]
+    bad = int(rows["outcome"].isin(["failed", "diverged"]).sum())
+    result: dict[str, Any] = {"replications": n}
+
+    def put(name: str, estimate: Estimate) -> None:
+        result[name], result[f"{name}_se"] = estimate.value, estimate.se
+
+    for axis in ("3d", "xy", "z"):
+        put(f"rmse_pooled_{axis}_m", pooled_rmse(rows[f"rmse_{axis}_m"], accepted))
+        put(f"rmse_mean_{axis}_m", mean(rows[f"rmse_{axis}_m"]))
+    for q in QUANTILES:
+        put(f"rmse_q{round(100 * q):02d}_3d_m", quantile(rows["rmse_3d_m"], q))
+    put("failure_rate", rate(bad, n))
+    result["failure_rate_low"], result["failure_rate_high"] = intervals.rate_interval(bad, n)
+    put("nees_mean", mean(rows["nees"]))
+    put("iterations_mean", mean(rows["iterations"]))
+    for name in ("ok", "rejected", "oscillated", "diverged", "failed"):
+        result[f"share_{name}"] = float(rows[f"n_{name}"].sum() / max(rows["n_fixes"].sum(), 1))
+    result["se_by"] = "replication" if clusters is None else "position"
+    if clusters is not None:
+        result |= {f"{name}_se": se for name, se in clusters.standard_errors().items()}
+    return result

@@ -1,0 +1,193 @@
+"""The reproduction page: one self-contained HTML file made from the stored tables and figures."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from aoabench.maths.digest import flatten
+from aoabench.report.text import number_text
+from aoabench.store.files import read_provenance, write_atomically
+from aoabench.studies import prose
+from aoabench.studies.reading import OTHER_VERSION, read
+from aoabench.studies.study import Study, figure_path, table_path
+from aoabench.studies.verdict import (
+    IN_KIND,
+    NOT_COMPUTED,
+    NOT_PRINTED,
+    NOT_REPRODUCIBLE,
+    REPRODUCED,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+BENCH = ("what", "detail", "value", "unit", "target", "how")
+VERDICTS = {
+    REPRODUCED: "good",
+    IN_KIND: "kind",
+    NOT_REPRODUCIBLE: "bad",
+    NOT_PRINTED: "soft",
+    NOT_COMPUTED: "soft",
+}  # each with its class in the style sheet
+
+
+def write(
+    everything: list[Study],
+    verdicts: pd.DataFrame,
+    results: Path,
+    problems: Mapping[tuple[str, str], str] | None = None,
+) -> Path:
+    """Write <results>/report/index.html and return its path; `problems` says which figures did not
+    come out.
+    """
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    rows: list[dict[str, Any]] = [
+        {str(k): v for k, v in row.items()} for row in verdicts.to_dict("records")
+    ]
+    for row in rows:
+        row["ours_text"] = number_text(row["ours"], row["se"])
+        row["ours_sort"] = "" if row["ours"] != row["ours"] else f"{row['ours']:.6g}"
+    ordered = sorted(
+        everything, key=lambda s: not s.printed
+    )  # a leaderboard, which prints nothing, comes last
+    html = environment.get_template("page.html.j2").render(
+        studies=[_study(s, rows, results, problems or {}) for s in ordered],
+        rows=rows,
+        counts=verdicts["verdict"].value_counts().to_dict(),
+        classes=VERDICTS,
+        bench=_bench(results / "bench" / "bench.parquet"),
+        script=(Path(__file__).parent / "page.js").read_text(encoding="utf-8"),
+        style=(Path(__file__).parent / "page.css").read_text(encoding="utf-8"),
+    )
+    path = results / "report" / "index.html"
+    write_atomically(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    return path
+
+
+def _study(
+    study: Study,
+    rows: list[dict[str, Any]],
+    results: Path,
+    problems: Mapping[tuple[str, str], str],
+) -> dict[str, Any]:
+    items = []
+    found: dict[str, Any] = {}
+    for item in study.items:
+        reading = read(study, item, results)
+        found |= reading.values
+        problem = reading.problem or problems.get((study.name, item.name), "").partition(" (")[0]
+        figure = figure_path(results, study, item)
+        good = reading.stored and not problem
+        origin = read_provenance(table_path(results, study, item)) if good else {}
+        scale = f" --scale {origin['scale']}" if origin.get("scale", "quick") != "quick" else ""
+        items.append(
+            {
+                "item": item,
+                "status": ""
+                if good
+                else f"Not computed ({problem})."
+                if problem
+                else "Not computed.",
+                "image": embedded(figure) if good and item.figure and figure.exists() else "",
+                "shown": None if reading.shown is None else reading.shown.to_dict("split"),
+                "rows": [r for r in rows if r["study"] == study.name and r["item"] == item.name],
+                "made": _made(origin),
+                "settings": _settings(origin.get("config")) + _machine(origin),
+                "command": f"aoabench reproduce {study.name} --only {item.name}{scale}",
+            }
+        )
+    errata = [{**e, "effect_text": _effect(e.get("effect"), found)} for e in study.errata]
+    readme = study.folder / "README.md"
+    readings = prose.html(readme.read_text(encoding="utf-8")) if readme.exists() else ""
+    return {"study": study, "items": items, "readings": readings, "errata": errata}
+
+
+def embedded(figure: Path, colours: int = 255) -> str:
+    """A PNG as base64, with a palette instead of 24 bits a pixel where that makes it smaller."""
+    from PIL import Image  # matplotlib brings it
+
+    original = figure.read_bytes()
+    with Image.open(io.BytesIO(original)) as image:
+        small, held = io.BytesIO(), image.convert("RGB")
+        held.quantize(colours, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
+            small, "PNG", optimize=True
+        )
+    return base64.b64encode(min(original, small.getvalue(), key=len)).decode()
+
+
+def _made(origin: Mapping[str, Any]) -> str:
+    """Scale, seconds, time and version of a table in a line, as far as it tells them."""
+    told = {"scale": "scale {}", "seconds": "{} s", "time": "{}", "aoabench": "aoabench {}"}
+    return ", ".join(text.format(origin[key]) for key, text in told.items() if key in origin)
+
+
+def _machine(origin: Mapping[str, Any]) -> list[tuple[str, str]]:
+    libraries = {"Python": origin.get("python"), **origin.get("libraries", {})}
+    versions = ", ".join(f"{name} {number}" for name, number in libraries.items() if number)
+    return [("versions", versions), ("processor", ", ".join(origin.get("cpu_features", [])))]
+
+
+def _settings(config: Any) -> list[tuple[str, str]]:
+    """Dotted keys and values of a table's config; of several cells, what differs between them is
+    listed.
+    """
+    if not isinstance(config, dict):
+        return []
+    cells = [dict(flatten(cell)) for cell in config.get("cells", [])]
+    said = [(key, str(value)) for key, value in config.items() if key not in ("cells", "scale")]
+    if not cells:
+        return said
+    lines = [*said, ("cells", str(len(cells)))]
+    for key in dict.fromkeys(name for cell in cells for name in cell):
+        texts = dict.fromkeys(_short(cell[key]) for cell in cells if key in cell)
+        if key not in ("runner.out", "runner.n_jobs", "runner.backend", "runner.chunk"):
+            lines.append((key, ", ".join(texts)))
+    return lines
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 200 else f"{text[:200]} ..."
+
+
+def _bench(path: Path) -> dict[str, Any]:
+    """The rows of the bench table as texts, or why there are none."""
+    import pandas as pd
+
+    try:
+        frame = pd.read_parquet(path, columns=list(BENCH))
+        rows = [[r["what"], r["detail"], f"{r['value']:.3g} {r['unit']}", r["target"], r["how"]]
+                for r in frame.to_dict("records")]  # fmt: skip
+        return {"rows": rows, "time": read_provenance(path).get("time", ""), "status": ""}
+    except FileNotFoundError:
+        return {"rows": [], "time": "", "status": "Not computed."}
+    except (ValueError, LookupError, TypeError, OSError):
+        return {"rows": [], "time": "", "status": f"Not computed ({OTHER_VERSION})."}
+
+
+def _effect(effect: dict[str, str] | None, found: dict[str, Any]) -> str:
+    """What an erratum does, in words and a number of ours; nothing if it says none or was not
+    computed.
+    """
+    if effect is None or effect["id"] not in found:
+        return ""
+    texts = [number_text(found[i][0].value, found[i][0].se) for i in _ids(effect) if i in found]
+    return f"{effect['says']}: {' instead of '.join(texts)} {effect['unit']}".strip()
+
+
+def _ids(effect: dict[str, str]) -> list[str]:
+    """What an effect's number is, and what it is instead of, if it says."""
+    return [effect[key] for key in ("id", "instead_of") if key in effect]

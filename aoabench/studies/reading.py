@@ -1,0 +1,81 @@
+"""What the stored table of an item says, and its figure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from aoabench.maths.statistics import Estimate
+
+if TYPE_CHECKING:
+    import pandas as pd
+from aoabench.studies.study import Item, Study, figure_path, table_path
+
+OTHER_VERSION = "the table is of another version"
+
+
+_UNFIT = (
+    LookupError,
+    AttributeError,
+    TypeError,
+    ValueError,
+    OSError,
+)  # from reading a table for what it lacks
+
+
+def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
+    """An item's stored table; None if it was not computed."""
+    import pandas as pd
+
+    path = table_path(results, study, item)
+    return pd.read_parquet(path) if path.exists() else None
+
+
+def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:
+    """Draw an item's figure from its stored table, if it has both; returns what was wrong with the
+    table, or "".
+
+    A figure that does not come out of its table does not stay either.
+    """
+    path = figure_path(results, study, item)
+    if not item.figure or not table_path(results, study, item).exists():
+        return ""
+    from aoabench.report import plots
+
+    try:
+        frame = table(results, study, item)
+        plots.save(lambda: getattr(study.figures, item.name)(frame), path, formats)
+    except _UNFIT as error:
+        path.unlink(missing_ok=True)
+        return f"{OTHER_VERSION} ({type(error).__name__}: {' '.join(str(error).split())[:80]})"
+    return ""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What an item's stored table says."""
+
+    stored: bool
+    values: dict[
+        str, tuple[Estimate, float]
+    ]  # by id, with the samples they rest on (NaN: not sampled)
+    shown: pd.DataFrame | None = None  # texts to show as a table, where figures.py has NAME_table
+    problem: str = ""  # why a stored table says nothing
+
+
+def read(study: Study, item: Item, results: Path) -> Reading:
+    """Read an item's stored table; for a table of another version, only `problem` is set."""
+    if not table_path(results, study, item).exists():
+        return Reading(False, {})
+    try:
+        frame = table(results, study, item)
+        found: dict[str, Any] = getattr(study.figures, f"{item.name}_values", lambda _: {})(frame)
+        shown = getattr(study.figures, f"{item.name}_table", lambda _: None)(frame)
+    except _UNFIT:
+        return Reading(True, {}, problem=OTHER_VERSION)
+    pairs = {
+        key: value if isinstance(value, tuple) else (value, float("nan"))
+        for key, value in found.items()
+    }
+    return Reading(True, pairs, shown)

@@ -1,0 +1,135 @@
+"""From a study's list of items to its tables, figures, verdicts and page.
+
+A study is a folder under `experiments/`: study.yaml (the items), numbers.py (item -> table),
+figures.py (table -> figure and values), printed.yaml, errata.yaml, README.md. Computing ends in
+Parquet; drawing starts from it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from aoabench.config.compose import compose_cells
+from aoabench.engine import runner
+from aoabench.engine.faults import writable
+from aoabench.errors import UserError, did_you_mean
+from aoabench.store import tables
+from aoabench.store.files import provenance, write_frame
+from aoabench.store.fixes import fixes
+from aoabench.studies import claims, page, reading, study
+
+Echo = Callable[[str], None]
+
+
+def all_studies() -> list[str]:
+    """Names of the studies that ship."""
+    return study.names()
+
+
+def reproduce(
+    names: Sequence[str],
+    scale: str,
+    only: str | None,
+    results: Path,
+    echo: Echo,
+    formats: Sequence[str] = ("png",),
+) -> None:
+    """Compute the items of the named studies (all if none is named) at a scale, then draw them.
+
+    Raises UserError for an unknown study or item.
+    """
+    known = all_studies()
+    for name in names:
+        if name not in known:
+            raise UserError(
+                f"study {name!r}: unknown"
+                f"{did_you_mean(name, known) or '; allowed: ' + ', '.join(known)}"
+            )
+    chosen = [study.load(name) for name in (names or known)]
+    items = [(s, item) for s in chosen for item in s.items if only is None or item.name == only]
+    if only is not None and not items:
+        present = [item.name for s in chosen for item in s.items]
+        raise UserError(
+            f"--only={only}: unknown item"
+            f"{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}"
+        )
+    writable(str(results), "--results")
+    for s, item in items:
+        begin = time.perf_counter()
+        frame, origin = compute(s, item, scale, results)
+        origin = {
+            **provenance(origin),
+            "scale": scale,
+            "seconds": round(time.perf_counter() - begin, 2),
+        }
+        write_frame(study.table_path(results, s, item), frame, origin)
+        echo(f"{s.name} {item.name}: {len(frame)} rows, {origin['seconds']:.1f} s ({scale})")
+    draw([s.name for s in chosen], results, echo, {item.name for _, item in items}, formats)
+
+
+def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tuple[Any, Any]:
+    """The table (a frame) of one item, and the config that it came from."""
+    reduce = getattr(s.numbers, item.name)
+    if item.experiment is None:
+        return reduce("quick" if scale == "quick" else "paper"), {
+            "function": f"experiments/{s.name}/numbers.py:{item.name}",
+            "scale": scale,
+        }
+    out = results / "raw" / s.name  # one folder a study: what two items need is computed once
+    cells = compose_cells(
+        [f"experiment={item.experiment}", *item.scale[scale], f"runner.out={out}"]
+    )
+    runner.run(cells)
+    origin = {"experiment": item.experiment, "cells": [c.config for c in cells]}
+    if item.reads == "fixes":
+        found = ((c, {name: fixes(out, c.id, name) for name in c.estimators}) for c in cells)
+        return reduce(found), origin
+    frame = tables.load(out)
+    wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
+    reps = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
+    return reduce(frame[frame["replication"] < reps]), origin
+
+
+def draw(
+    names: Sequence[str],
+    results: Path,
+    echo: Echo,
+    only: set[str] | None = None,
+    formats: Sequence[str] = ("png",),
+) -> None:
+    """Figures of the named studies, and verdicts and page of all, from the tables under `results`.
+
+    A line tells of each table that is of another version, and of each study what is not there.
+    """
+    writable(str(results / "figures"), "--results")
+    problems = {}
+    for name in names:
+        s = study.load(name)
+        absent = [item.name for item in s.items if not study.table_path(results, s, item).exists()]
+        for item in s.items:
+            if only is None or item.name in only:
+                problem = (
+                    reading.draw(s, item, results, tuple(formats))
+                    or reading.read(s, item, results).problem
+                )
+                problems[name, item.name] = problem
+                if problem:
+                    echo(
+                        f"{name} {item.name}: not computed: {problem}; "
+                        f"aoabench reproduce {name} --only {item.name}"
+                    )
+        if absent and only is None:
+            echo(f"{name}: not computed: {', '.join(absent)}; aoabench reproduce {name}")
+    everything = [study.load(name) for name in all_studies()]
+    verdicts = claims.verdicts(everything, results)
+    if len(verdicts):
+        write_frame(results / "tables" / "verdicts.parquet", verdicts)
+    html = page.write(everything, verdicts, results, problems)
+    echo("")
+    echo(claims.verdict_text(verdicts[verdicts["study"].isin(list(names))]))
+    echo(f"tables   {results / 'tables'}")
+    echo(f"figures  {results / 'figures'}")
+    echo(f"page     {html}")

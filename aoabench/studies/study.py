@@ -1,0 +1,102 @@
+"""One study: its items, and where their tables and figures lie."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from aoabench.resources import shipped
+
+if TYPE_CHECKING:
+    pass
+
+
+@dataclass(frozen=True)
+class Item:
+    """One table or figure: where its numbers come from and how it is described."""
+
+    name: str
+    title: str
+    caption: str
+    alt: str = ""
+    figure: bool = True
+    experiment: str | None = None
+    scale: Any = None  # quick, medium and paper: the overrides of an item with an experiment
+    # what its function gets: their tidy frame, or (cell, {estimator: fixes}) of each cell
+    reads: str = "replications"
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study's folder, read."""
+
+    name: str
+    folder: Path
+    title: str
+    cite: str
+    items: tuple[Item, ...]
+    printed: tuple[dict[str, Any], ...]
+    errata: tuple[dict[str, Any], ...]
+    schematic: str = ""
+
+    @property
+    def numbers(self) -> ModuleType:
+        """numbers.py: a function per item that computes its table."""
+        return _module(self.folder / "numbers.py")
+
+    @property
+    def figures(self) -> ModuleType:
+        """figures.py: per item a function of its table that draws it, and one, NAME_values, that
+        reads its numbers.
+        """
+        return _module(self.folder / "figures.py")
+
+
+def names() -> list[str]:
+    """Studies that ship."""
+    return sorted(p.parent.name for p in shipped("experiments").glob("*/study.yaml"))
+
+
+@cache
+def load(name: str) -> Study:
+    """Read a study's YAML files."""
+    folder = shipped("experiments") / name
+
+    def read(file: str) -> Any:
+        return yaml.safe_load((folder / file).read_text(encoding="utf-8"))
+
+    spec = read("study.yaml")
+    items = tuple(Item(name=key, **fields) for key, fields in spec["items"].items())
+    printed, errata = tuple(read("printed.yaml")), tuple(read("errata.yaml"))
+    return Study(
+        name, folder, spec["title"], spec["cite"], items, printed, errata, spec.get("schematic", "")
+    )
+
+
+@cache
+def _module(file: Path) -> ModuleType:
+    name = f"aoabench_experiments_{file.parent.name}_{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def table_path(results: Path, study: Study, item: Item) -> Path:
+    """Where an item's table lies."""
+    return results / "tables" / f"{study.name}_{item.name}.parquet"
+
+
+def figure_path(results: Path, study: Study, item: Item) -> Path:
+    """Where an item's figure lies."""
+    return results / "figures" / f"{study.name}_{item.name}.png"

@@ -1,0 +1,94 @@
+"""The verdict on one printed number or claim, computed from the numbers alone."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aoabench.maths.statistics import Estimate
+
+REPRODUCED = "reproduced"
+
+
+IN_KIND = "reproduced in kind"
+
+
+NOT_REPRODUCIBLE = "not reproducible"
+
+
+NOT_PRINTED = "not printed"
+
+
+NOT_COMPUTED = "not computed"
+
+
+def verdict(
+    printed: float | tuple[float, float] | None,
+    rounding: float,
+    ours: Estimate | None,
+    *,
+    printed_se: float = 0.0,
+    in_kind: bool = False,
+    strict: bool = False,
+    z: float = 3.0,
+) -> str:
+    """The verdict on one printed number or claim, from the numbers alone.
+
+    `printed` is a number, known to +- `rounding` (half a unit of its last digit), or an interval
+    that the paper claims (low, high); `printed_se` is the printed number's own Monte Carlo error,
+    where its sample size is known. Reproduced means: ours lies in the printed interval, widened by
+    z standard errors; for a claim with `strict`: it lies inside by z standard errors, so that
+    chance alone does not confirm it. `in_kind` says whether ordering or shape holds. With z = 3 a
+    true number is missed with probability below 0.3 %. A number without a standard error (NaN) is
+    not judged: not computed. Errors that are exactly 0 belong to closed forms.
+    """
+    if ours is None or math.isnan(ours.value) or math.isnan(ours.se):
+        return NOT_COMPUTED
+    if printed is None:
+        return NOT_PRINTED
+    low, high = printed if isinstance(printed, tuple) else (printed - rounding, printed + rounding)
+    slack = z * math.hypot(ours.se, printed_se)
+    tolerance = 1e-9 * max(
+        abs(low) if math.isfinite(low) else 0, abs(high) if math.isfinite(high) else 0
+    )
+    if strict:
+        slack = -slack
+    if strict and ours.value in (
+        low,
+        high,
+    ):  # not by any margin, even where there is no error at all
+        return IN_KIND if in_kind else NOT_REPRODUCIBLE
+    if low - slack - tolerance <= ours.value <= high + slack + tolerance:
+        return REPRODUCED
+    return IN_KIND if in_kind else NOT_REPRODUCIBLE
+
+
+def undecided(
+    printed: Any, rounding: float, ours: Estimate, *, strict: bool = False, z: float = 3.0
+) -> str:
+    """Why a verdict rests on too few replications: a sentence, or nothing if it does not.
+
+    A strict claim is undecided while ours lies within z standard errors of its bound; a number
+    while z standard errors exceed five times its rounding, unless ours is clearly another one.
+    """
+    slack = z * ours.se
+    if strict and isinstance(printed, tuple):
+        low, high = printed
+        outside = ours.value + slack < low or ours.value - slack > high
+        inside = low + slack <= ours.value <= high - slack
+        return "" if inside or outside else f"undecided: within {z:g} standard errors of the bound"
+    if rounding > 0 and slack > 5 * rounding and abs(ours.value - printed) <= rounding + slack:
+        return "undecided: the standard error is too large for the printed digits"
+    return ""
+
+
+def same_order(printed: ArrayLike, ours: ArrayLike) -> bool:
+    """Whether numbers that differ in print stand in the same order among ours."""
+    p, o = np.asarray(printed, dtype=float), np.asarray(ours, dtype=float)
+    i, j = np.triu_indices(len(p), 1)
+    return bool(np.all(np.sign(p[i] - p[j]) * np.sign(o[i] - o[j]) >= 0)) and bool(
+        np.all(np.isfinite(o))
+    )
