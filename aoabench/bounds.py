@@ -1,7 +1,7 @@
 """What the measurements allow: Fisher information, Cramér-Rao bound, geometric dilution of
 precision.
 
-All functions take points (..., 3) m and anchors (1, B, ...), and broadcast.
+All functions take points (..., 3) m and anchors (1, 1, B, ...), and broadcast.
 """
 
 from __future__ import annotations
@@ -26,9 +26,7 @@ def azel_information(
     NaN on the anchor.
     """
     p = np.asarray(point, dtype=float)
-    local = np.stack(in_frames(p.reshape(1, -1, 3), anchors.position, anchors.rotation), axis=-1)[
-        0
-    ]  # (N, B, 3)
+    local = np.stack(in_frames(p.reshape(1, -1, 3), *anchors.frames), axis=-1)[0]  # (N, B, 3)
     x, y, z = local[..., 0], local[..., 1], local[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         rho = np.hypot(x, y)
@@ -38,7 +36,7 @@ def azel_information(
         rows = np.stack(
             [azimuth / _column(azimuth_sigma), elevation / _column(elevation_sigma)], axis=-2
         )
-        G = rows @ anchors.rotation[0]  # (N, B, 2, 3), whitened
+        G = rows @ anchors.rotation[0, 0]  # (N, B, 2, 3), whitened
         return np.einsum("nbmi,nbmj->nij", G, G).reshape(*p.shape[:-1], 3, 3)
 
 
@@ -50,7 +48,7 @@ def direction_information(point: Array, anchors: Anchors, kappa: float | Array) 
     direction is singular.
     """
     p = np.asarray(point, dtype=float)
-    offset = p[..., None, :] - anchors.position[0]
+    offset = p[..., None, :] - anchors.position[0, 0]
     r = np.linalg.norm(offset, axis=-1, keepdims=True)
     k = np.asarray(kappa, dtype=float)
     weight = k / np.tanh(k) - 1.0

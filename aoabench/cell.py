@@ -11,6 +11,7 @@ from typing import Any
 from aoabench.columns import REPLICATIONS
 from aoabench.errors import BadValue, check_choice, check_number
 from aoabench.maths.digest import digest
+from aoabench.roles import Estimator, Noise, Scenario
 
 
 @dataclass(frozen=True)
@@ -104,16 +105,15 @@ class Cell:
 
     scenario_name: str
     noise_name: str
-    scenario: Any
-    noise: Any
-    estimators: Mapping[str, Any]
+    scenario: Scenario
+    noise: Noise
+    estimators: Mapping[str, Estimator]
     seed: int
     reps: int
     runner: RunnerOptions
     config: Mapping[str, Any]
-    changed: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # estimators' parameters that differ from their presets
+    # estimators' parameters that differ from their presets
+    changed: Mapping[str, Any] = field(default_factory=dict)
     swept: tuple[str, ...] = ()  # dotted parameters that the command line sets
     experiment: str | None = None
     plugins: tuple[str, ...] = ()

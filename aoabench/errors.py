@@ -11,9 +11,9 @@ import numpy as np
 from aoabench.maths.geometry import Array
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """'; did you mean X?' for a misspelt word, or nothing."""
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """'; did you mean X?' for a misspelt word, or nothing; `cutoff`: how alike they must be."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
@@ -34,6 +34,17 @@ class BadValue(UserError, ValueError):
 
     def __reduce__(self) -> tuple[type, tuple[str, object, str]]:  # so that a worker can raise it
         return type(self), (self.key, self.value, self.allowed)
+
+
+class Unfit(UserError):
+    """An estimator does not fit: the `group` to choose another preset of, and what is `allowed`."""
+
+    def __init__(self, group: str, allowed: str) -> None:
+        self.group, self.allowed = group, allowed
+        super().__init__(f"needs another {group}: {allowed}")
+
+    def __reduce__(self) -> tuple[type, tuple[str, str]]:
+        return type(self), (self.group, self.allowed)
 
 
 def check_number(

@@ -6,7 +6,7 @@ components. SI units and radians unless a name says otherwise. NaN means "not me
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import numpy as np
@@ -26,24 +26,70 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True)
 class Anchors:
-    """Anchors as an estimator knows them: position (R|1, B, 3) m, rotation (R|1, B, 3, 3) global ->
-    anchor frame.
+    """Positions and orientations of B anchors, the same or different in each replication and step.
 
-    position_sigma (R|1, B, 3) m: stated deviations of the positions; None where they are exact.
+    position (R|1, T|1, B, 3) m; rotation (R|1, T|1, B, 3, 3) from the global to the anchor's frame;
+    position_sigma (R|1, T|1, B, 3) m, the stated deviations of the positions, None where they are
+    exact. Arrays without a step axis, (R|1, B, ...), or without both axes, (B, ...), get axes of
+    length 1. Raises ValueError for other shapes.
     """
 
     position: Array
     rotation: Array
     position_sigma: Array | None = None
 
+    def __post_init__(self) -> None:
+        for name, inner in (("position", (3,)), ("rotation", (3, 3)), ("position_sigma", (3,))):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            array = np.asarray(value, dtype=float)
+            missing = 3 + len(inner) - array.ndim
+            if missing not in (0, 1, 2) or array.shape[-len(inner) :] != inner:
+                wanted = ", ".join(("R|1", "T|1", "B", *map(str, inner)))
+                raise ValueError(
+                    f"Anchors.{name} must have the shape ({wanted}), not {array.shape}"
+                )
+            full = array[:, None] if missing == 1 else array[None, None] if missing else array
+            object.__setattr__(self, name, full)
+
+    @property
+    def count(self) -> int:
+        """The number of anchors B."""
+        return self.position.shape[2]
+
+    @property
+    def moving(self) -> bool:
+        """Whether something may differ from step to step (T > 1)."""
+        return any(array.shape[1] > 1 for array in self.arrays.values())
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """The fields that are not None."""
+        named = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: array for name, array in named.items() if array is not None}
+
+    @property
+    def frames(self) -> tuple[Array, Array]:
+        """Positions (R|1, B, 3) m and rotations (R|1, B, 3, 3) at one step; ValueError for more."""
+        if self.position.shape[1] > 1 or self.rotation.shape[1] > 1:
+            raise ValueError("the anchors of one step are needed; take Anchors.at(k)")
+        return self.position[:, 0], self.rotation[:, 0]
+
     def of(self, i: int) -> Anchors:
-        """The anchors (1, B, ...) of the i-th replication."""
+        """The anchors (1, T|1, B, ...) of the i-th replication."""
+        return Anchors(**{n: a if len(a) == 1 else a[i : i + 1] for n, a in self.arrays.items()})
 
-        def one(a: Array) -> Array:
-            return a if len(a) == 1 else a[i : i + 1]
+    def at(self, k: int) -> Anchors:
+        """The anchors (R|1, 1, B, ...) at the k-th step."""
+        if not self.moving:
+            return self
+        arrays = self.arrays.items()
+        return Anchors(**{n: a if a.shape[1] == 1 else a[:, k : k + 1] for n, a in arrays})
 
-        sigma = None if self.position_sigma is None else one(self.position_sigma)
-        return Anchors(one(self.position), one(self.rotation), sigma)
+    def those(self, index: np.ndarray) -> Anchors:
+        """Some of the anchors (R|1, T|1, K, ...), by their indices (K,)."""
+        return Anchors(**{name: a[:, :, index] for name, a in self.arrays.items()})
 
 
 @dataclass(frozen=True)
@@ -62,14 +108,23 @@ class Measurements:
     elevation_sigma: Array | None = None
     delay_sigma: Array | None = None
 
+    def offers(self) -> frozenset[str]:
+        """What is measured of the things that estimators may need (see roles.NEEDS)."""
+        found = {"elevation"} if np.isfinite(self.elevation).any() else set()
+        found |= {name for name in ("delay", "rssi") if getattr(self, name) is not None}
+        return frozenset(found | ({"stated_sigma"} if self.azimuth_sigma is not None else set()))
+
 
 @dataclass(frozen=True)
 class Batch:
     """What an estimator gets: the measurements of a tile of replications, each array (R, T, B) or
     None.
 
-    prior_mean (R, n) and prior_cov (n, n) describe the state before the first step (None for
-    snapshot scenarios); truth is not in here.
+    anchors: the anchors as they are known, in the order of the last axis; anchor_id (R|1, T|1, B)
+    their numbers in the scenario, from 0, -1 where a place is empty; None stands for 0, 1, ... B-1.
+    time (R|1, T) s; None stands for steps of the scenario's dt. prior_mean (R, n) and prior_cov
+    (n, n) describe the state before the first step (None for snapshot scenarios). The truth is not
+    in here.
     """
 
     azimuth: Array
@@ -82,6 +137,21 @@ class Batch:
     delay_sigma: Array | None = None
     prior_mean: Array | None = None
     prior_cov: Array | None = None
+    time: Array | None = None
+    anchor_id: np.ndarray | None = None
+
+    def of(self, i: int) -> Batch:
+        """The batch (1, ...) of the i-th replication."""
+        names = [f.name for f in fields(self) if f.name not in ("anchors", "prior_cov")]
+        each = {name: getattr(self, name) for name in names}
+        one = {n: a if a is None or len(a) == 1 else a[i : i + 1] for n, a in each.items()}
+        return Batch(anchors=self.anchors.of(i), prior_cov=self.prior_cov, **one)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """The anchors' numbers (R|1, T|1, B) in the scenario, from 0; -1 where a place is empty."""
+        everyone = np.arange(self.azimuth.shape[2])[None, None]
+        return everyone if self.anchor_id is None else self.anchor_id
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from aoabench.cli.common import Parser
 def replay(arguments: Sequence[str]) -> int:
     """`aoabench replay`: repeat one replication of a run, write its trace and a picture of it."""
     from aoabench.config.plugins import parse_plugins
-    from aoabench.engine import replay as replay_module
+    from aoabench.engine import replay_files
+    from aoabench.engine.replay import replay as repeat
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
 
@@ -30,6 +31,6 @@ def replay(arguments: Sequence[str]) -> int:
     parser.add_argument("--export", choices=["csv", "parquet"], help=formats)
     given = parser.parse_args(list(arguments))
     plugins = parse_plugins([f"plugins={given.plugins}"])
-    chosen = (given.replication, given.estimator, given.cell, plugins, given.export)
-    print(replay_module.replay(Path(given.run), *chosen))
+    done = repeat(Path(given.run), given.replication, given.estimator, given.cell, plugins)
+    print(replay_files.write(done, given.export))
     return 0

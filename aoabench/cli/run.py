@@ -43,9 +43,7 @@ def run(arguments: Sequence[str]) -> int:
         print(line, file=sys.stderr)
     done = runner.run(cells)
     print_run(done, cells)
-    for cell in {
-        cell.id: cell for cell in cells if getattr(cell.scenario, "recorded", None) is not None
-    }.values():
+    for cell in {cell.id: cell for cell in cells if cell.scenario.recorded is not None}.values():
         _draw_recording(done.out, cell)
     if given.worst:
         print_worst(done.out, cells, given.worst)
@@ -55,10 +53,15 @@ def run(arguments: Sequence[str]) -> int:
 def _draw_recording(out: Path, cell: Any) -> None:
     """Errors of a recording with ground truth as pictures."""
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
+    import numpy as np
+
     from aoabench.report import campaign
 
     scenario = cell.scenario
-    truth, anchors = scenario.truth(None)[:, :2], scenario.known_anchors.position[0, :, :2]
+    truth, anchors = (
+        scenario.truth(np.random.default_rng(0))[:, :2],
+        scenario.true_anchors.frames[0][0, :, :2],
+    )
     for path in campaign.write(
         out, cell.id, list(cell.estimators), truth, anchors, scenario.bounds_m
     ):

@@ -10,9 +10,11 @@ from pathlib import PurePath
 from typing import Any
 
 from aoabench.cell import Cell, RunnerOptions, Until
+from aoabench.config.adopt import as_estimator, as_noise, as_scenario
 from aoabench.config.plugins import construct, import_plugins
 from aoabench.config.presets import options
-from aoabench.errors import BadValue, UserError, check_number, did_you_mean
+from aoabench.errors import BadValue, Unfit, UserError, check_number, did_you_mean
+from aoabench.roles import Estimator, Noise, Scenario
 
 _TOP_LEVEL = (
     "scenario",
@@ -45,6 +47,39 @@ def build(
     parameters that differ from their presets, `extra` further estimators given as objects. Raises
     UserError for all that can be known before a run.
     """
+    _check_top_level(plain, choices, plugins)
+    import_plugins(plugins)
+    runner = _runner(plain)
+    _check_reach(runner, set(typed))
+    scenario = as_scenario(construct(plain["scenario"], "scenario", plugins), "scenario")
+    plain, choices, notes = _as_recorded(plain, choices, scenario, overrides)
+    noise = as_noise(construct(plain["noise"], "noise", plugins), "noise")
+    estimators = _estimators(plain, plugins, choices.get("experiment")) | _extra(plain, extra or {})
+    _check_fit(estimators, scenario, noise, choices)
+    keys = [o.partition("=")[0].lstrip("+") for o in overrides]
+    groups = ("scenario", "noise", "filter", "estimator")
+    return Cell(
+        scenario_name=choices["scenario"],
+        noise_name=choices["noise"],
+        scenario=scenario,
+        noise=noise,
+        estimators={path.partition(".")[2]: one for path, one in estimators.items()},
+        seed=plain["seed"],
+        reps=plain["reps"],
+        runner=runner,
+        config={group: plain.get(group) or None for group in groups} | {"seed": plain["seed"]},
+        changed=dict(changed or {}),
+        swept=tuple(key for key in keys if "." in key),
+        experiment=choices.get("experiment"),
+        plugins=tuple(plugins),
+        notes=notes,
+    )
+
+
+def _check_top_level(
+    plain: Mapping[str, Any], choices: Mapping[str, Any], plugins: Sequence[str]
+) -> None:
+    """Raise UserError for unknown keys, plugins from a file, reps, seed and missing groups."""
     for key in plain:
         if key not in _TOP_LEVEL:
             hint = did_you_mean(str(key), _TOP_LEVEL) or "; allowed: " + ", ".join(_TOP_LEVEL)
@@ -53,77 +88,32 @@ def build(
         raise UserError(
             f"plugins={plain.get('plugins')}: only plugins=[...] on the command line can name them"
         )
-    import_plugins(plugins)
     check_number("reps", plain.get("reps"), least=1, most=100_000_000, integer=True)
     check_number("seed", plain.get("seed"), least=0, most=2**63 - 1, integer=True)
-    runner = _runner(plain)
-    _check_reach(runner, set(typed))
     for group in ("scenario", "noise"):
         if not isinstance(choices.get(group), str) or not plain.get(group):
             raise UserError(
                 f"{group}={choices.get(group)}: exactly one is needed; "
                 f"allowed: {', '.join(options(group))}"
             )
-    scenario = _as(
-        "scenario",
-        construct(plain["scenario"], "scenario", plugins),
-        ("truth", "prior", "known_anchors"),
-    )
-    plain, choices, notes = _as_recorded(plain, choices, scenario, overrides)
-    noise = _as("noise", construct(plain["noise"], "noise", plugins), ("sample",))
-    if not isinstance(scenario.name, str) or not scenario.name:
-        raise BadValue("scenario.name", scenario.name, "a text, which keys the random streams")
-    estimators = _estimators(plain, plugins, scenario, choices.get("experiment"))
-    for name, estimator in (extra or {}).items():
-        if name in estimators:
-            raise UserError(
-                f"estimators[{name!r}]: a preset of this name is selected; choose another name"
-            )
-        estimators[name] = _as(f"estimators[{name!r}]", estimator, ("__call__",))
-    for name in estimators:
-        if not isinstance(name, str) or re.search(r"^\.|[/\\\x00-\x1f]", name):
-            raise UserError(
-                f"{name!r}: not a name for an estimator; allowed: no slashes, no dot in front"
-            )
-    if not estimators:
-        known = ", ".join((*options("filter"), *options("estimator")))
-        raise UserError(
-            f"filter=[], estimator=[]: one must be given, e.g. 'filter=[ekf_vmf]'; allowed: {known}"
-        )
-    return Cell(
-        scenario_name=choices["scenario"],
-        noise_name=choices["noise"],
-        scenario=scenario,
-        noise=noise,
-        estimators=estimators,
-        seed=plain["seed"],
-        reps=plain["reps"],
-        runner=runner,
-        config={k: plain.get(k) or None for k in ("scenario", "noise", "filter", "estimator")}
-        | {"seed": plain["seed"]},
-        changed=dict(changed or {}),
-        swept=tuple(
-            o.partition("=")[0].lstrip("+") for o in overrides if "." in o.partition("=")[0]
-        ),
-        experiment=choices.get("experiment"),
-        plugins=tuple(plugins),
-        notes=notes,
-    )
 
 
 def _as_recorded(
-    plain: Mapping[str, Any], choices: Mapping[str, Any], scenario: Any, overrides: Sequence[str]
+    plain: Mapping[str, Any],
+    choices: Mapping[str, Any],
+    scenario: Scenario,
+    overrides: Sequence[str],
 ) -> tuple[Mapping[str, Any], Mapping[str, Any], tuple[str, ...]]:
     """The job with the recording for its noise and no more replications than it has; and lines
     about it.
     """
-    if getattr(scenario, "recorded", None) is None:
-        return plain, choices, ()
-    notes = [*getattr(scenario, "notes", ())]
+    if scenario.recorded is None:
+        return plain, choices, scenario.notes
+    notes = [*scenario.notes]
     keys = [override.partition("=")[0].lstrip("+") for override in overrides]
     if any(key.split(".")[0] == "noise" for key in keys):
         notes.append("noise is not used: scenario.path has the measurements")
-    reps = min(plain["reps"], getattr(scenario, "replications", plain["reps"]))
+    reps = min(plain["reps"], scenario.replications or plain["reps"])
     if reps < plain["reps"] and "reps" in keys:
         notes.append(f"reps={plain['reps']} is taken as {reps}: a recording is one replication")
     node = {"_target_": "aoabench.noise.recorded.Recorded"}
@@ -131,10 +121,10 @@ def _as_recorded(
 
 
 def _estimators(
-    plain: Mapping[str, Any], plugins: Sequence[str], scenario: Any, experiment: str | None
-) -> dict[str, Any]:
-    """Filters and estimators by name, each checked for what the runner will ask of it."""
-    found: dict[str, Any] = {}
+    plain: Mapping[str, Any], plugins: Sequence[str], experiment: str | None
+) -> dict[str, Estimator]:
+    """Filters and estimators by their dotted keys."""
+    found: dict[str, Estimator] = {}
     for group in ("filter", "estimator"):
         nodes = plain.get(group) or {}
         if not isinstance(nodes, dict):
@@ -143,50 +133,55 @@ def _estimators(
             )
         for name, node in nodes.items():
             path = f"{group}.{name}"
-            if (
-                isinstance(node, dict)
-                and "_target_" not in node
-                and experiment
-                and name in options(group)
-            ):
+            bare = isinstance(node, dict) and "_target_" not in node
+            if bare and experiment and name in options(group):
                 continue  # an experiment's setting for a preset that this run leaves out
-            if name in found:
+            if f"filter.{name}" in found:
                 raise UserError(
                     f"{path}: the name is taken by a filter; every estimator needs its own"
                 )
-            found[name] = _as(path, construct(node, path, plugins), ("__call__",))
-            if (
-                not isinstance(getattr(found[name], "tile", 1), int)
-                or getattr(found[name], "tile", 1) < 1
-            ):
-                raise BadValue(f"{path}.tile", found[name].tile, "an integer >= 1")
-            if hasattr(found[name], "check"):
-                try:
-                    found[name].check(scenario)
-                except BadValue as error:
-                    raise BadValue(f"{path}.{error.key}", error.value, error.allowed) from None
-            if hasattr(found[name], "measurement"):
-                _as(
-                    f"{path}.measurement",
-                    found[name].measurement,
-                    ("observe", "predict", "residual"),
-                )
-                motion = getattr(scenario, "motion", None)
-                if motion is None:
-                    raise UserError(
-                        f"{path}: a filter needs a scenario with a motion model; "
-                        "scenario.motion is null"
-                    )
-                _as("scenario.motion", motion, ("matrices",))
+            found[path] = as_estimator(construct(node, path, plugins), path)
     return found
 
 
-def _as(path: str, obj: Any, needs: Sequence[str]) -> Any:
-    """The object, if it has the attributes that its role needs."""
-    for name in needs:
-        if not hasattr(obj, name):
-            raise UserError(f"{path}: {type(obj).__name__} has no {name!r}, which is needed here")
-    return obj
+def _extra(plain: Mapping[str, Any], extra: Mapping[str, Any]) -> dict[str, Estimator]:
+    """Estimators given as objects, by keys like those of presets; UserError where there are none of
+    either kind, and for names that cannot be used.
+    """
+    presets = {**(plain.get("filter") or {}), **(plain.get("estimator") or {})}
+    for name in extra:
+        if name in presets:
+            raise UserError(
+                f"estimators[{name!r}]: a preset of this name is selected; choose another name"
+            )
+    for name in (*presets, *extra):
+        if not isinstance(name, str) or re.search(r"^\.|[/\\\x00-\x1f]", name):
+            raise UserError(
+                f"{name!r}: not a name for an estimator; allowed: no slashes, no dot in front"
+            )
+    if not presets and not extra:
+        known = ", ".join((*options("filter"), *options("estimator")))
+        raise UserError(
+            f"filter=[], estimator=[]: one must be given, e.g. 'filter=[ekf_vmf]'; allowed: {known}"
+        )
+    return {f"estimators.{n}": as_estimator(e, f"estimators[{n!r}]") for n, e in extra.items()}
+
+
+def _check_fit(
+    estimators: Mapping[str, Estimator],
+    scenario: Scenario,
+    noise: Noise,
+    choices: Mapping[str, Any],
+) -> None:
+    """Raise UserError where an estimator needs what scenario and noise do not offer."""
+    for path, estimator in estimators.items():
+        try:
+            estimator.check(scenario, noise)
+        except Unfit as error:
+            allowed = f"{error.allowed}, which {path} needs"
+            raise BadValue(error.group, choices[error.group], allowed) from None
+        except BadValue as error:
+            raise BadValue(f"{path}.{error.key}", error.value, error.allowed) from None
 
 
 def _runner(plain: Mapping[str, Any]) -> RunnerOptions:

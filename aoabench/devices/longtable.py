@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aoabench.errors import BadValue, did_you_mean
-from aoabench.maths.geometry import Array, euler
-from aoabench.types import Anchors
+from aoabench.maths.geometry import Array, euler, euler_of
+from aoabench.types import Anchors, Batch
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -292,7 +292,7 @@ def _is_float(value: Any) -> bool:
 
 
 def read_anchors(key: str, path: str) -> tuple[list[str], Anchors]:
-    """Ids and anchors (1, B, ...) from id, x_m, y_m and, 0 by default, z_m, facing_deg, pitch_deg,
+    """Ids and anchors (1, 1, B, ...) from id, x_m, y_m and, 0 by default, z_m, facing_deg, pitch_deg,
     roll_deg.
 
     Rz(facing) Ry(pitch) Rx(roll) turns the anchor's axes from the global ones: with facing alone
@@ -317,4 +317,32 @@ def read_anchors(key: str, path: str) -> tuple[list[str], Anchors]:
         table.numbers(c, empty=False) if c in there else np.zeros(n) for c in columns[1:]
     )
     axes = [euler(turn).T for turn in np.deg2rad(np.stack(turns[::-1], axis=-1))]
-    return ids, Anchors(np.stack([x, y, z], axis=-1)[None], np.stack(axes)[None])
+    return ids, Anchors(np.stack([x, y, z], axis=-1), np.stack(axes))
+
+
+def as_tables(batch: Batch, truth: Array) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The measurements of one replication (R = 1) as a long table, and its anchors.
+
+    The first has a row per fix and anchor that measured, with the true position of truth (T, n) m;
+    the second the anchors at the first step, as they are known.
+    """
+    import pandas as pd
+
+    fix, anchor = (a.ravel() for a in np.indices(batch.azimuth.shape[1:]))
+    angles = {
+        "azimuth_deg": batch.azimuth,
+        "elevation_deg": batch.elevation,
+        "azimuth_sigma_deg": batch.azimuth_sigma,
+        "elevation_sigma_deg": batch.elevation_sigma,
+    }
+    given = {name: np.rad2deg(a[0].ravel()) for name, a in angles.items() if a is not None}
+    given |= {} if batch.rssi is None else {"rssi_dbm": batch.rssi[0].ravel()}
+    given |= {f"{axis}_m": truth[fix, k] for k, axis in enumerate("xyz")}
+    heard = np.isfinite(batch.azimuth[0]) | np.isfinite(batch.elevation[0])
+    heard[:, 0] |= ~heard.any(axis=1)  # a fix without any measurement keeps one row
+    rows = pd.DataFrame({"fix": fix, "anchor": anchor + 1, **given})[heard.ravel()]
+    position, rotation = (a[0] for a in batch.anchors.at(0).frames)
+    turned = np.rad2deg([euler_of(R.T) for R in rotation]) + 0.0  # no -0.0
+    known = {f"{axis}_m": position[:, k] for k, axis in enumerate("xyz")}
+    known |= {f"{name}_deg": turned[:, 2 - k] for k, name in enumerate(("facing", "pitch", "roll"))}
+    return rows, pd.DataFrame({"id": np.arange(1, len(position) + 1), **known})

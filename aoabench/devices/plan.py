@@ -37,7 +37,7 @@ def find(key: str, name: object) -> Path:
 
 
 def read_anchors(key: str, path: Path) -> Anchors:
-    """Anchors (1, B, ...) from the columns x_m, y_m, z_m, facing_deg.
+    """Anchors (1, 1, B, ...) from the columns x_m, y_m, z_m, facing_deg.
 
     The last is the horizontal direction of the array's broadside, counter-clockwise from +x. Local
     axes: x along the broadside, y horizontally left of it, z up.
@@ -47,7 +47,7 @@ def read_anchors(key: str, path: Path) -> Anchors:
         raise BadValue(key, str(path), "a file with at least one anchor")
     turn, up = np.deg2rad(table[:, 3]), np.broadcast_to([0.0, 0.0, 1.0], (len(table), 3))
     ahead = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=-1)
-    return Anchors(table[None, :, :3], np.stack([ahead, np.cross(up, ahead), up], axis=-2)[None])
+    return Anchors(table[:, :3], np.stack([ahead, np.cross(up, ahead), up], axis=-2))
 
 
 def read_walls(key: str, path: Path) -> tuple[Array, float | None]:

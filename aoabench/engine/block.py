@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from aoabench.engine import metrics
 from aoabench.engine.tiles import Draws, tile_of, try_tile
+from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.types import Estimates
 
 Rows = dict[str, np.ndarray]
+RowMaker = Callable[[np.ndarray, np.ndarray, Estimates, np.ndarray], Rows]
 
 
 _SPAN = 64  # replications whose estimates are held before they become rows
 
 
 def run_block(
-    scenario: Any,
-    noise: Any,
-    estimators: Mapping[str, Any],
+    scenario: Scenario,
+    noise: Noise,
+    estimators: Mapping[str, Estimator],
     seed: int,
     start: int,
     stop: int,
@@ -36,43 +37,46 @@ def run_block(
     estimator raised or gave NaN (see `try_tile`). Estimators take turns tile by tile: what depends
     on the replication alone is drawn once for all.
     """
-    score = {"rows": _rows}
-    score |= {"steps": _details} if steps else {}
-    score |= {"fixes": _fixes} if getattr(scenario, "same_truth", False) else {}
-    scores: dict[str, dict[str, list[Rows]]] = {
-        name: {kind: [] for kind in score} for name in estimators
-    }
-    errors: dict[str, dict[int, str]] = {name: {} for name in estimators}
+    makers: dict[str, RowMaker] = {"rows": _rows}
+    makers |= {"steps": _details} if steps else {}
+    makers |= {"fixes": _fixes} if scenario.shares_positions else {}
+    blocks: dict[str, dict[str, Rows]] = {}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
-        for size in sorted({tile_of(estimator, scenario) for estimator in estimators.values()}):
-            names = [
-                name
-                for name, estimator in estimators.items()
-                if tile_of(estimator, scenario) == size
-            ]
-            span = size * max(_SPAN // size, 1)
-            for first in range(start - start % size, stop, span):
-                tiles = range(first, min(first + span, stop), size)
-                found = [
-                    {name: try_tile(draws, estimators[name], tile) for name in names}
-                    for tile in tiles
-                ]
-                numbers = np.arange(first, tiles[-1] + size)
-                keep = (numbers >= start) & (numbers < stop)
-                for name in names:
-                    truth = np.concatenate([tile[name][0] for tile in found])
-                    estimates = _one_after_the_other([tile[name][1] for tile in found])
-                    for tile in found:
-                        errors[name] |= tile[name][2]
-                    for kind, make in score.items():
-                        scores[name][kind].append(make(numbers, truth, estimates, keep))
-    blocks = {
-        name: {kind: _join(found) for kind, found in kinds.items()}
-        for name, kinds in scores.items()
-    }
-    for name, block in blocks.items():
-        block |= _failures(block["rows"], errors[name])
+        sizes = {name: tile_of(estimator, scenario) for name, estimator in estimators.items()}
+        for size in sorted(set(sizes.values())):
+            same = {name: e for name, e in estimators.items() if sizes[name] == size}
+            blocks |= _same_tiles(draws, same, size, range(start, stop), makers)
+    return {name: blocks[name] for name in estimators}
+
+
+def _same_tiles(
+    draws: Draws,
+    estimators: Mapping[str, Estimator],
+    size: int,
+    wanted: range,
+    makers: Mapping[str, RowMaker],
+) -> dict[str, dict[str, Rows]]:
+    """The block of each of some estimators that take tiles of one size."""
+    rows = {name: {kind: list[Rows]() for kind in makers} for name in estimators}
+    errors = {name: dict[int, str]() for name in estimators}
+    span = size * max(_SPAN // size, 1)
+    for first in range(wanted.start - wanted.start % size, wanted.stop, span):
+        tiles = range(first, min(first + span, wanted.stop), size)
+        found = [{n: try_tile(draws, e, tile) for n, e in estimators.items()} for tile in tiles]
+        numbers = np.arange(first, tiles[-1] + size)
+        keep = (numbers >= wanted.start) & (numbers < wanted.stop)
+        for name in estimators:
+            truth = np.concatenate([tile[name][0] for tile in found])
+            estimates = _one_after_the_other([tile[name][1] for tile in found])
+            for tile in found:
+                errors[name] |= tile[name][2]
+            for kind, make in makers.items():
+                rows[name][kind].append(make(numbers, truth, estimates, keep))
+    blocks = {}
+    for name, kinds in rows.items():
+        blocks[name] = {kind: _join(parts) for kind, parts in kinds.items()}
+        blocks[name] |= _failures(blocks[name]["rows"], errors[name])
     return blocks
 
 

@@ -279,16 +279,15 @@ def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
     if not keys:
         return {}
     estimators = {name: cell.estimators[name] for name in keys}
-    repeats = (
-        1 if cell.reps < _FEW else 3
-    )  # of many small cells nobody wants to wait for the timing
-    measured = time_estimators(cell.scenario, cell.noise, estimators, cell.seed, repeats)
+    repeats = 1 if cell.reps < _FEW else 3  # many small cells shall not wait for their timing
+    given = (cell.scenario, cell.noise, estimators, cell.seed, cell.reps)
+    measured = time_estimators(*given, repeats)
     return {
         keys[name]: {
-            "seconds_per_step": seconds / (replications * steps),
-            "seconds_per_replication": seconds / replications,
-            "replications": replications,
-            "steps": steps,
+            "seconds_per_step": timing.seconds / (timing.replications * timing.steps),
+            "seconds_per_replication": timing.seconds / timing.replications,
+            "replications": timing.replications,
+            "steps": timing.steps,
         }
-        for name, (seconds, replications, steps) in measured.items()
+        for name, timing in measured.items()
     }

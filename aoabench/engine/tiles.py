@@ -6,39 +6,48 @@ replication gives the same bits however the work is cut.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from aoabench.errors import UserError
+from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, Streams, generator
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
+_MOST_ELEMENTS = 2**20
 
-def tile_of(estimator: Any, scenario: Any = None) -> int:
-    """How many replications this estimator takes at once; no more than the scenario has, if it says
-    how many.
+
+def tile_of(estimator: Estimator, scenario: Scenario) -> int:
+    """How many replications an estimator takes at once: its own `tile`, or one derived from the
+    size of a replication; never more than the scenario has.
     """
-    tile = int(getattr(estimator, "tile", 128))
-    return min(tile, getattr(scenario, "replications", tile))
+    tile = estimator.tile or _derived_tile(scenario)
+    return min(tile, scenario.replications or tile)
+
+
+def _derived_tile(scenario: Scenario) -> int:
+    """The largest power of two up to 128 for which an array (R, T, B) has at most 2^20 elements."""
+    steps = len(scenario.truth(generator(0, scenario.name, 0, TRUTH)))
+    most = max(_MOST_ELEMENTS // (steps * scenario.true_anchors.count), 1)
+    return min(2 ** (most.bit_length() - 1), 128)
 
 
 def simulate(
-    scenario: Any, noise: Any, seed: int, replication: int
-) -> tuple[np.ndarray, Measurements, Any]:
+    scenario: Scenario, noise: Noise, seed: int, replication: int
+) -> tuple[np.ndarray, Measurements, tuple[np.ndarray, np.ndarray] | None]:
     """Truth (T, n), measurements and prior (mean, covariance) of one replication.
 
-    A scenario with `same_truth` has one truth for all replications.
+    A scenario that `shares_positions` has one truth for all replications.
     """
-    once = getattr(scenario, "same_truth", False)
-    truth = scenario.truth(generator(seed, scenario.name, 0 if once else replication, TRUTH))
-    measured = getattr(scenario, "recorded", None)
+    name, of_truth = scenario.name, 0 if scenario.shares_positions else replication
+    truth = scenario.truth(generator(seed, name, of_truth, TRUTH))
+    measured = scenario.recorded
     if measured is None:
-        measured = noise.sample(
-            generator(seed, scenario.name, replication, MEASUREMENT), scenario, truth
-        )
-    prior = scenario.prior(generator(seed, scenario.name, replication, ESTIMATOR, PRIOR), truth)
+        measured = noise.sample(generator(seed, name, replication, MEASUREMENT), scenario, truth)
+    prior = scenario.prior(generator(seed, name, replication, ESTIMATOR, PRIOR), truth)
     return truth, measured, prior
 
 
@@ -47,7 +56,7 @@ class Draws:
     for it.
     """
 
-    def __init__(self, scenario: Any, noise: Any, seed: int) -> None:
+    def __init__(self, scenario: Scenario, noise: Noise, seed: int) -> None:
         self.scenario, self.noise, self.seed = scenario, noise, seed
         self._last: tuple[tuple[int, int], tuple[np.ndarray, Batch]] | None = None
 
@@ -58,107 +67,120 @@ class Draws:
         return self._last[1]
 
     def _simulated(self, start: int, size: int) -> tuple[np.ndarray, Batch]:
-        drawn = [
-            simulate(self.scenario, self.noise, self.seed, r) for r in range(start, start + size)
-        ]
+        numbers = range(start, start + size)
+        drawn = [simulate(self.scenario, self.noise, self.seed, r) for r in numbers]
         measured = {
             f.name: None
             if getattr(drawn[0][1], f.name) is None
             else np.stack([getattr(d[1], f.name) for d in drawn])
             for f in fields(Measurements)
         }
-        prior = drawn[0][2]
-        known = self._known_anchors(range(start, start + size))
+        priors = [prior for _, _, prior in drawn if prior is not None]
+        truth = np.stack([d[0] for d in drawn])
         batch = Batch(
-            anchors=known,
-            prior_mean=None if prior is None else np.stack([d[2][0] for d in drawn]),
-            prior_cov=None if prior is None else prior[1],
+            anchors=self._known_anchors(numbers),
+            prior_mean=np.stack([mean for mean, _ in priors]) if priors else None,
+            prior_cov=priors[0][1] if priors else None,
+            time=self.scenario.times(truth.shape[1])[None],
             **measured,  # type: ignore[arg-type]
         )
-        truth = np.stack([d[0] for d in drawn])
-        anchors = (known.position, known.rotation, known.position_sigma)
-        for shared in (truth, *anchors, *(getattr(batch, f.name) for f in fields(batch))):
-            if isinstance(shared, np.ndarray):
+        arrays = (getattr(batch, f.name) for f in fields(batch) if f.name != "anchors")
+        for shared in (truth, *batch.anchors.arrays.values(), *arrays):
+            if shared is not None:
                 shared.setflags(write=False)  # all estimators see the same
         return truth, batch
 
     def _known_anchors(self, replications: range) -> Anchors:
-        true: Anchors = self.scenario.known_anchors
-        if not hasattr(self.noise, "known_anchors"):
-            return true
-        name = self.scenario.name
+        """The anchors (R|1, T|1, B, ...) as they are known in each replication."""
         each = [
-            self.noise.known_anchors(generator(self.seed, name, r, ANCHORS), self.scenario)
+            self.noise.known_anchors(
+                generator(self.seed, self.scenario.name, r, ANCHORS), self.scenario
+            )
             for r in replications
         ]
-        sigma = [a.position_sigma for a in each]
-        return Anchors(
-            np.concatenate([a.position for a in each]),
-            true.rotation,
-            None if sigma[0] is None else sigma[0],
-        )
+        return together(each)
 
 
-def estimate_tile(draws: Draws, estimator: Any, first: int) -> tuple[np.ndarray, Estimates]:
+def together(each: Sequence[Anchors]) -> Anchors:
+    """The anchors (R|1, T|1, B, ...) of several replications; what is equal in all is kept once."""
+    arrays = {}
+    for name, first in each[0].arrays.items():
+        values = [anchors.arrays[name] for anchors in each]
+        same = all(value is first or np.array_equal(value, first) for value in values)
+        arrays[name] = first if same else np.concatenate(values)
+    return Anchors(**arrays)
+
+
+def estimate_tile(draws: Draws, estimator: Estimator, first: int) -> tuple[np.ndarray, Estimates]:
     """Truth (R, T, n) and estimates of the tile that starts at replication `first`."""
     truth, estimates = _asked(draws, estimator, first)
-    return truth, checked(estimates, truth.shape[:2], type(estimator).__name__)
+    return truth, checked(estimates, truth.shape[:2], estimator.label)
 
 
 def _asked(
-    draws: Draws, estimator: Any, first: int, at: np.ndarray | None = None
+    draws: Draws, estimator: Estimator, first: int, at: np.ndarray | None = None
 ) -> tuple[np.ndarray, Estimates]:
-    """Truth (R, T, n) of a tile and what the estimator says, unchecked; `at` (R,): whose data each
-    place gets.
+    """Truth (R, T, n) of a tile and what the estimator returns, unchecked.
+
+    `at` (R,): for each place of the tile the index of the replication whose data fill it.
     """
     size = tile_of(estimator, draws.scenario)
     truth, batch = draws.tile(first, size)
-    numbers = range(first, first + size) if at is None else [first + int(i) for i in at]
-    streams = Streams(draws.seed, draws.scenario.name, tuple(numbers))
-    seen = (truth if at is None else truth[at],) if getattr(estimator, "sees_truth", False) else ()
-    return truth, estimator(
-        batch if at is None else placed(batch, at), draws.scenario, streams, *seen
-    )
+    if at is None:
+        numbers = tuple(range(first, first + size))
+        return truth, call(estimator, batch, draws, numbers, truth)
+    numbers = tuple(first + int(i) for i in at)
+    return truth, call(estimator, placed(batch, at), draws, numbers, truth[at])
+
+
+def call(
+    estimator: Estimator,
+    batch: Batch,
+    draws: Draws,
+    replications: tuple[int, ...],
+    truth: np.ndarray,
+) -> Estimates:
+    """What the estimator returns for a batch; the true states (R, T, n) go to those that need
+    them.
+    """
+    streams = Streams(draws.seed, draws.scenario.name, replications)
+    if "truth" not in estimator.needs:
+        return estimator(batch, draws.scenario, streams)
+    return cast(Any, estimator)(batch, draws.scenario, streams, truth)
 
 
 def placed(batch: Batch, at: np.ndarray) -> Batch:
     """The batch with the data of replication `at[i]` of the tile in its place i."""
 
-    def placed(array: np.ndarray | None) -> np.ndarray | None:
+    def taken(array: np.ndarray | None) -> np.ndarray | None:
         if array is None or len(array) == 1:
             return array
-        taken = array[at]
-        taken.setflags(write=False)
-        return taken
+        found = array[at]
+        found.setflags(write=False)
+        return found
 
-    anchors = Anchors(**{f.name: placed(getattr(batch.anchors, f.name)) for f in fields(Anchors)})  # type: ignore[arg-type]
-    each = {
-        f.name: placed(getattr(batch, f.name))
-        for f in fields(Batch)
-        if f.name not in ("anchors", "prior_cov")
-    }
-    return Batch(anchors=anchors, prior_cov=batch.prior_cov, **each)  # type: ignore[arg-type]
+    anchors = {name: taken(array) for name, array in batch.anchors.arrays.items()}
+    names = [f.name for f in fields(Batch) if f.name not in ("anchors", "prior_cov")]
+    each = {name: taken(getattr(batch, name)) for name in names}
+    return replace(batch, anchors=Anchors(**anchors), **each)  # type: ignore[arg-type]
 
 
 def try_tile(
-    draws: Draws, estimator: Any, first: int
+    draws: Draws, estimator: Estimator, first: int
 ) -> tuple[np.ndarray, Estimates, dict[int, str]]:
-    """As `estimate_tile`; what raises costs those replications alone that it raises on, and NaN is
-    told, too.
+    """Like `estimate_tile`, but an exception fails only the replications that cause it; the third
+    value says by the replication's number what was wrong, NaN positions included.
 
-    The third value says by replication's number what was wrong. To find who raises, the tile is
-    repeated with some of its replications, each in its own place, the other places filled by one of
-    them: the tile keeps its size and what it gives to a replication keeps its bits. UserErrors and
-    lack of memory are not the data's fault and stop the run.
+    To find the cause, the tile is repeated with some of its replications, each in its own place,
+    the other places filled by one of them: the tile keeps its size, and what it gives to a
+    replication keeps its bits. UserErrors and lack of memory are not the data's fault and stop the
+    run.
     """
-    size, errors, name = (
-        tile_of(estimator, draws.scenario),
-        dict[int, str](),
-        type(estimator).__name__,
-    )
+    size, errors = tile_of(estimator, draws.scenario), dict[int, str]()
     truth, _ = draws.tile(first, size)
-    everyone = np.arange(size)
+    shape = truth.shape[:2]
     pieces: list[tuple[np.ndarray, Estimates]] = []
+    everyone = np.arange(size)
     todo = [everyone]
     while todo:
         some = todo.pop()
@@ -171,26 +193,21 @@ def try_tile(
             if len(some) > 1:
                 todo += np.array_split(some, 2)
             else:
-                errors[first + int(some[0])] = " ".join(f"{type(error).__name__}: {error}".split())[
-                    :500
-                ]
+                text = f"{type(error).__name__}: {error}"
+                errors[first + int(some[0])] = " ".join(text.split())[:500]
             continue
-        good = checked(raw, truth.shape[:2], name)
+        good = checked(raw, shape, estimator.label)
         nan = (good.outcome != raw.outcome).sum(axis=1)
         for i in some[nan[some] > 0]:
-            errors[first + int(i)] = (
-                f"{nan[i]} of {truth.shape[1]} fixes claim a position and give NaN"
-            )
+            said = f"{nan[i]} of {shape[1]} fixes claim a position and give NaN"
+            errors[first + int(i)] = said
         pieces.append((some, good))
-    return (
-        truth,
-        pieces[0][1] if len(pieces) == 1 and not errors else _assembled(pieces, truth.shape[:2]),
-        errors,
-    )
+    whole = len(pieces) == 1 and not errors
+    return truth, pieces[0][1] if whole else _assembled(pieces, shape), errors
 
 
 def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...]) -> Estimates:
-    """One tile (R, T) of some of the rows of each of several; nobody's rows are `failed`."""
+    """One tile (R, T) from the rows of several pieces; replications in no piece are `failed`."""
     found: dict[str, np.ndarray | None] = {
         "position": np.full((*shape, 3), np.nan),
         "outcome": np.full(shape, Outcome.FAILED, dtype=np.int8),

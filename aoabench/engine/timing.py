@@ -2,53 +2,74 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from aoabench.engine.tiles import Draws, checked, placed, tile_of
-from aoabench.streams import Streams
+from aoabench.engine.tiles import Draws, call, checked, placed, tile_of
+from aoabench.roles import Estimator, Noise, Scenario
 
-_TIMED = 8  # replications that a tile is filled with to take its time
+_SIMULATED = 8  # replications that a larger tile is filled with: the simulation is not timed
+_ENOUGH_S = 1.0
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Median seconds of one tile, its replications and its steps."""
+
+    seconds: float
+    replications: int
+    steps: int
 
 
 def time_estimators(
-    scenario: Any, noise: Any, estimators: Mapping[str, Any], seed: int, repeats: int = 3
-) -> dict[str, tuple[float, int, int]]:
-    """Median seconds of one tile, its replications and its steps for each estimator; serial, BLAS
-    at one thread.
+    scenario: Scenario,
+    noise: Noise,
+    estimators: Mapping[str, Estimator],
+    seed: int,
+    reps: int,
+    repeats: int = 3,
+) -> dict[str, Timing]:
+    """Timings of the estimators, one after the other, BLAS at one thread.
 
     After a first pass, which warms up, up to `repeats` more, as long as they fit into about a
-    second. Large tiles are filled by a few replications, since the simulation is not counted; nor
-    is a tile that the estimator raises on, and without any other there is no timing.
+    second; never more passes than the `reps` replications of the run have tiles, so that timing
+    costs no more than the run. A pass in which the estimator raises does not count; without any
+    other there is no timing.
     """
     result = {}
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for name, estimator in estimators.items():
-            size, seconds = tile_of(estimator, scenario), list[float]()
-            few = min(size, _TIMED)
-            for number in (0, *range(repeats)):
-                if sum(seconds) >= 1.0:
+            size = tile_of(estimator, scenario)
+            passes = min(1 + repeats, -(-reps // size))
+            seconds: list[float] = []
+            for number in range(passes):
+                if sum(seconds) >= _ENOUGH_S:
                     break
-                first = number if size == 1 else 0
-                truth, batch = draws.tile(first, few)
-                full = batch if few == size else placed(batch, np.arange(size) % few)
-                seen = (
-                    (truth[np.arange(size) % few],)
-                    if getattr(estimator, "sees_truth", False)
-                    else ()
-                )
-                streams = Streams(seed, scenario.name, tuple(range(first, first + size)))
-                begin = time.perf_counter()
-                with contextlib.suppress(Exception):  # counted as a failure where it is computed
-                    checked(estimator(full, scenario, streams, *seen), (size, truth.shape[1]), name)
-                    seconds.append(time.perf_counter() - begin)
+                first = max(number - 1, 0) if size == 1 else 0
+                seconds += _one_pass(draws, estimator, first, size)
             seconds = seconds[1:] or seconds
             if seconds:
-                result[name] = (float(np.median(seconds)), size, truth.shape[1])
+                steps = draws.tile(0, min(size, _SIMULATED))[0].shape[1]
+                result[name] = Timing(float(np.median(seconds)), size, steps)
     return result
+
+
+def _one_pass(draws: Draws, estimator: Estimator, first: int, size: int) -> list[float]:
+    """Seconds that the tile from replication `first` on takes, in a list; empty if it raises."""
+    few = min(size, _SIMULATED)
+    truth, batch = draws.tile(first, few)
+    if few < size:
+        at = np.arange(size) % few
+        truth, batch = truth[at], placed(batch, at)
+    numbers = tuple(range(first, first + size))
+    begin = time.perf_counter()
+    try:
+        checked(call(estimator, batch, draws, numbers, truth), truth.shape[:2], estimator.label)
+    except Exception:  # counted as a failure where the run computed it
+        return []
+    return [time.perf_counter() - begin]

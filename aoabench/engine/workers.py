@@ -109,8 +109,7 @@ def prepare(tasks: Sequence[Task], progress: bool) -> None:
             print(line, file=sys.stderr, flush=True)
 
     for estimator in {id(e): e for task in tasks for e in task.cell.estimators.values()}.values():
-        if hasattr(estimator, "prepare"):
-            estimator.prepare(say)
+        estimator.prepare(say)
 
 
 def _settle(path: list[str], parent: int) -> None:

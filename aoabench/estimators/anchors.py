@@ -7,26 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench.errors import BadValue, UserError, check_number
+from aoabench.errors import BadValue, Unfit, check_number
 from aoabench.estimators.plane import clipped, directions, in_plane, on_plane, plane_of
 from aoabench.maths.geometry import Array
+from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates
 
 
 @dataclass(frozen=True)
-class _OnPlane:
+class _OnPlane(Estimator):
     """height_m: of the plane, null for the scenario's; horizon_deg (0, 90): rays look at least this
     far towards it; clip: positions are moved into the scenario's bounds."""
 
     height_m: float | None = None
     horizon_deg: float = 1.0
     clip: bool = True
-    tile: ClassVar[int] = 8
+    tile = 8
 
     def __post_init__(self) -> None:
         check_number("height_m", self.height_m, optional=True)
@@ -34,11 +34,16 @@ class _OnPlane:
         if not isinstance(self.clip, bool):
             raise BadValue("clip", self.clip, "true or false")
 
-    def check(self, scenario: Any) -> None:
-        """Raise BadValue where the scenario leaves the plane open."""
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"elevation"} | ({"height"} if self.height_m is None else set()))
+
+    def check(self, scenario: Scenario, noise: Noise) -> None:
+        """Raise UserError also where an anchor lies in the plane."""
+        super().check(scenario, noise)
         plane_of(self.height_m, scenario)
 
-    def each(self, batch: Batch, scenario: Any) -> Array:
+    def each(self, batch: Batch, scenario: Scenario) -> Array:
         """The position (R, T, B, 2) m from each anchor by itself; NaN where it did not measure."""
         height = plane_of(self.height_m, scenario)
         return clipped(
@@ -58,19 +63,18 @@ class SingleAnchor(_OnPlane):
         super().__post_init__()
         check_number("anchor", self.anchor, least=1, integer=True)
 
-    def check(self, scenario: Any) -> None:
-        super().check(scenario)
+    def check(self, scenario: Scenario, noise: Noise) -> None:
+        super().check(scenario, noise)
         check_number(
             "anchor",
             self.anchor,
             least=1,
-            most=scenario.known_anchors.position.shape[1],
+            most=scenario.true_anchors.count,
             integer=True,
         )
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
-        xy = self.each(batch, scenario)[:, :, self.anchor - 1]
-        return in_plane(xy, None, np.isfinite(xy[..., 0]).astype(float))
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
+        return _selected(self.each(batch, scenario), batch.numbers == self.anchor - 1)
 
 
 @dataclass(frozen=True)
@@ -79,9 +83,15 @@ class BestAnchor(_OnPlane):
     would reach.
     """
 
-    sees_truth: ClassVar[bool] = True
+    @property
+    def needs(self) -> frozenset[str]:
+        return super().needs | {"truth"}
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams, truth: Array) -> Estimates:
+    def __call__(
+        self, batch: Batch, scenario: Scenario, streams: Streams, truth: Array | None = None
+    ) -> Estimates:
+        """`truth`: the true states (R, T, n)."""
+        assert truth is not None
         xy = self.each(batch, scenario)
         return _selected(xy, -np.hypot(*np.moveaxis(xy - truth[:, :, None, :2], -1, 0)))
 
@@ -90,20 +100,22 @@ class BestAnchor(_OnPlane):
 class RssiAnchor(_OnPlane):
     """The single anchor that received the strongest signal."""
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    @property
+    def needs(self) -> frozenset[str]:
+        return super().needs | {"rssi"}
+
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         if batch.rssi is None:
-            raise UserError(
-                "rssi_anchor needs signal strengths; "
-                "choose a noise that makes them, e.g. noise=ble_multipath"
-            )
+            raise Unfit(*NEEDS["rssi"])
         return _selected(self.each(batch, scenario), batch.rssi)
 
 
-def _selected(xy: Array, merit: Array) -> Estimates:
-    """The one of positions (R, T, B, 2) with the largest merit (R, T, B), among those that have
-    both.
+def _selected(xy: Array, merit: np.ndarray) -> Estimates:
+    """The one of positions (R, T, B, 2) with the largest merit (R|1, T|1, B), among those that have
+    both; a merit of False counts as none.
     """
-    merit = np.where(np.isfinite(merit) & np.isfinite(xy[..., 0]), merit, -np.inf)
+    given = merit if merit.dtype == bool else np.isfinite(merit)
+    merit = np.where(given & np.isfinite(xy[..., 0]), merit, -np.inf)
     best = merit.argmax(axis=-1)[..., None, None]
     found: np.ndarray = np.asarray(np.isfinite(merit).any(axis=-1))
     chosen = np.take_along_axis(xy, best, axis=2)[:, :, 0]
@@ -135,16 +147,16 @@ class AnchorMean(_OnPlane):
             for number in self.anchors:
                 check_number("anchors", number, least=1, integer=True)
 
-    def check(self, scenario: Any) -> None:
-        super().check(scenario)
+    def check(self, scenario: Scenario, noise: Noise) -> None:
+        super().check(scenario, noise)
         for number in self.anchors or ():
-            check_number("anchors", number, most=scenario.known_anchors.position.shape[1])
+            check_number("anchors", number, most=scenario.true_anchors.count)
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         xy = self.each(batch, scenario)
-        if self.anchors is not None:
-            xy = xy[:, :, np.array(self.anchors) - 1]
         known = np.isfinite(xy[..., 0])
+        if self.anchors is not None:
+            known &= np.isin(batch.numbers, np.array(self.anchors) - 1)
         n = known.sum(axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.where(known[..., None], xy, 0.0).sum(axis=2) / n[..., None]

@@ -8,47 +8,53 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
-from aoabench.errors import BadValue
+from aoabench.errors import BadValue, Unfit
 from aoabench.maths.geometry import LIGHT, to_unit
+from aoabench.roles import NEEDS, Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
 
 
 @dataclass(frozen=True)
-class WeightedCentroid:
+class WeightedCentroid(Estimator):
     """`as_printed`: the measured azimuth, which includes the array's orientation, is not freed from
     it in (12) [U5].
     """
 
     as_printed: bool = False
-    tile: ClassVar[int] = 8
+    tile = 8
 
     def __post_init__(self) -> None:
         if not isinstance(self.as_printed, bool):
             raise BadValue("as_printed", self.as_printed, "true or false")
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"elevation", "delay", "stated_sigma"})
+
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix; `failed` where no AN measured a time and both angles."""
         if batch.delay is None or batch.delay_sigma is None:
-            raise BadValue("estimator", "wcg", "a noise that measures times of arrival: ofdm_crlb")
+            raise Unfit(*NEEDS["delay"])
         R, T, B = batch.azimuth.shape
         usable = (
             np.isfinite(batch.azimuth) & np.isfinite(batch.elevation) & np.isfinite(batch.delay)
         )
         r, k, b = np.nonzero(usable & (batch.delay_sigma > 0))
         azimuth = batch.azimuth[r, k, b]
-        rotation = batch.anchors.rotation[0, b]
+        s, rotation = (
+            np.broadcast_to(a, (R, T, *a.shape[2:]))[r, k, b]
+            for a in (batch.anchors.position, batch.anchors.rotation)
+        )
         if (
             self.as_printed
         ):  # the orientation twice: once in the angle, once in what is done with it
             azimuth = azimuth + np.arctan2(rotation[:, 0, 1], rotation[:, 0, 0])
         local = LIGHT * batch.delay[r, k, b, None] * to_unit(azimuth, batch.elevation[r, k, b])
-        s = batch.anchors.position
-        p = s[r if len(s) > 1 else 0, b] + (local[:, None, :] @ rotation)[:, 0]
+        p = s + (local[:, None, :] @ rotation)[:, 0]
         w = 1.0 / np.square(batch.delay_sigma[r, k, b])
         fix = r * T + k
         total = np.bincount(fix, w, R * T)

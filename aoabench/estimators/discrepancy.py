@@ -11,18 +11,18 @@ S3  Sigma = (sum_{M*} Sigma_i^-1)^-1,   mu = Sigma sum_{M*} Sigma_i^-1 mu_i     
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from aoabench.errors import BadValue, check_choice, check_number
 from aoabench.estimators import ellipses
 from aoabench.estimators.plane import clipped, plane_of
-from aoabench.kernels import loading
+from aoabench.kernels.loading import Compiled, check_engine
 from aoabench.maths.geometry import Array, to_unit
+from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
 
@@ -39,7 +39,7 @@ EVEN = 1e-9  # ratios (19) that differ by less are the same
 
 
 @dataclass(frozen=True)
-class Discrepancy:
+class Discrepancy(Compiled, Estimator):
     """r_sigma times azimuth_sigma_deg and elevation_sigma_deg are the deviations that shape the
     ellipses.
 
@@ -64,7 +64,8 @@ class Discrepancy:
     clip: bool = True
     height_m: float | None = None
     engine: str = "auto"
-    tile: ClassVar[int] = 8
+    tile = 8
+    kernels = KERNELS
 
     def __post_init__(self) -> None:
         check_number("r_sigma", self.r_sigma, above=0)
@@ -80,31 +81,30 @@ class Discrepancy:
             if not isinstance(getattr(self, name), bool):
                 raise BadValue(name, getattr(self, name), "true or false")
         check_number("height_m", self.height_m, optional=True)
-        loading.check_engine(self.engine)
+        check_engine(self.engine)
 
-    def check(self, scenario: Any) -> None:
-        """Raise BadValue where the scenario leaves the plane open or has more anchors than the vote
-        can count.
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"elevation"} | ({"height"} if self.height_m is None else set()))
+
+    def check(self, scenario: Scenario, noise: Noise) -> None:
+        """Raise UserError also where an anchor lies in the plane, or where there are more anchors
+        than the vote can count.
         """
+        super().check(scenario, noise)
         plane_of(self.height_m, scenario)
-        B = scenario.known_anchors.position.shape[1]
+        B = scenario.true_anchors.count
         if self.vote and B > MOST:
             raise BadValue(
                 "vote", True, f"false: the scenario has {B} anchors, and at most {MOST} can vote"
             )
 
-    def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile what is needed, before others work in parallel."""
-        if self.engine == "auto":
-            loading.prepare(KERNELS, say)
-
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix; `rejected` where fewer than two ellipses agree, `failed` where no
         anchor measured.
         """
-        self.check(scenario)
         height = plane_of(self.height_m, scenario)
-        compiled = loading.load(KERNELS) if self.engine == "auto" else None
+        compiled = self.compiled(batch.anchors)
         R, T, _ = batch.azimuth.shape
         found = (
             np.empty((R, T, 3)),
@@ -155,7 +155,7 @@ class Discrepancy:
         sa, se = self.deviations
         sines = np.array([math.sin(sa), math.cos(sa), math.sin(se), math.cos(se)])
         angles = np.ascontiguousarray(azimuth), np.ascontiguousarray(elevation)
-        s, R = np.ascontiguousarray(anchors.position[0]), np.ascontiguousarray(anchors.rotation[0])
+        s, R = (np.ascontiguousarray(a[0]) for a in anchors.frames)
         compiled.discrepancy(
             centre,
             vote,
@@ -194,21 +194,21 @@ class Discrepancy:
         self, azimuth: Array, elevation: Array, anchors: Anchors, height: float
     ) -> tuple[Array, Array]:
         """S1: centres (N, B, 2) m and L = R S (N, B, 2, 2) of the ellipses, from angles (N, B) of
-        anchors (1, B, ...).
+        anchors (1, N|1, B, ...).
 
         For an upright anchor the half-axis a (13) is radial, as (15) has it: a lies along p_phi+ -
         p_phi-, which is the same line, and still one at the nadir, where the ellipse's centre is
         the anchor's foot.
         """
         s, R = anchors.position[0], anchors.rotation[0]
-        to_plane = height - s[:, 2]
+        to_plane = height - s[..., 2]
         sa, se = self.deviations
 
         def seen(
             p: Array,
         ) -> tuple[Array, Array]:  # f^-1: azimuth and elevation of points (N, B, 2)
             v = np.concatenate(
-                [p - s[:, :2], np.broadcast_to(to_plane[:, None], (*p.shape[:2], 1))], axis=-1
+                [p - s[..., :2], np.broadcast_to(to_plane[..., None], (*p.shape[:2], 1))], axis=-1
             )
             x, y, z = np.moveaxis((R @ v[..., None])[..., 0], -1, 0)
             return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
@@ -222,7 +222,7 @@ class Discrepancy:
             flat, towards = np.hypot(x, y), z * np.sign(to_plane)
             low = towards < flat * self.slope
             reach = np.abs(to_plane) / np.maximum(np.maximum(towards, flat * self.slope), 1e-300)
-            return s[:, :2] + reach[..., None] * np.stack([x, y], axis=-1), low
+            return s[..., :2] + reach[..., None] * np.stack([x, y], axis=-1), low
 
         p, low = f(azimuth, elevation)
         turned = seen(p)

@@ -13,16 +13,16 @@ changes the estimate (L6).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from aoabench.errors import check_choice
-from aoabench.kernels import loading
+from aoabench.kernels.loading import Compiled, check_engine
 from aoabench.maths.geometry import Array
+from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
 
@@ -37,25 +37,25 @@ ROWS = ("printed", "invariant")
 
 
 @dataclass(frozen=True)
-class LeastSquares:
+class LeastSquares(Compiled, Estimator):
     """`rows`: the elevation's equations, `printed` or `invariant`."""
 
     rows: str = "printed"
     engine: str = "auto"
-    tile: ClassVar[int] = 1
+    tile = 1
+    kernels = KERNELS
 
     def __post_init__(self) -> None:
         check_choice("rows", self.rows, ROWS)
-        loading.check_engine(self.engine)
+        check_engine(self.engine)
 
-    def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile what is needed, before others work in parallel."""
-        if self.engine == "auto":
-            loading.prepare(KERNELS, say)
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"several_anchors"})
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix; `failed` where the equations do not determine one."""
-        compiled = loading.load(KERNELS) if self.engine == "auto" else None
+        compiled = self.compiled(batch.anchors)
         if compiled is None:
             position = planes(batch, self.rows)
         else:
@@ -83,12 +83,11 @@ def by_kernel(
     phi, theta, wa, we = (padded(a, compiled.LANES) for a in measured(batch))
     options = (azimuth, printed, ROWS.index(rows), tolerance, updates)
     for i in range(R):
-        anchors = batch.anchors.of(i)
-        centre = anchors.position[0].mean(axis=0)
-        s = padded(
-            (anchors.position[0] - centre).T, compiled.LANES, "edge"
-        )  # no anchor of zeros, whose angles are NaN
-        rotation = padded(np.moveaxis(anchors.rotation[0], 0, -1), compiled.LANES, "edge")
+        position, rotation = (a[0] for a in batch.anchors.of(i).frames)
+        centre = position.mean(axis=0)
+        # filled up with the last anchor: one of zeros would have angles of NaN
+        s = padded((position - centre).T, compiled.LANES, "edge")
+        rotation = padded(np.moveaxis(rotation, 0, -1), compiled.LANES, "edge")
         compiled.gauss_newton(
             *options, phi[i], theta[i], wa[i], we[i], s, rotation, x[i], outcome[i], count[i]
         )
@@ -137,12 +136,12 @@ def planes(batch: Batch, rows: str = "printed") -> Array:
         second = np.stack([np.sin(theta) * c, np.sin(theta) * s, -np.cos(theta)], axis=-1)
     a = np.stack([first, second], axis=-2)  # (R, T, B, 2, 3)
     missing = ~np.isfinite(a).all(axis=-1, keepdims=True)
-    a = np.where(missing, 0.0, a) @ batch.anchors.rotation[:, None]
-    centre = batch.anchors.position.mean(axis=1, keepdims=True)
-    b = (a @ (batch.anchors.position - centre)[:, None, ..., None])[..., 0]  # (R, T, B, 2)
+    a = np.where(missing, 0.0, a) @ batch.anchors.rotation
+    centre = batch.anchors.position.mean(axis=2, keepdims=True)
+    b = (a @ (batch.anchors.position - centre)[..., None])[..., 0]  # (R, T, B, 2)
     A, g = np.einsum("rtbki,rtbkj->rtij", a, a), np.einsum("rtbki,rtbk->rti", a, b)
     used = ~missing[..., 0, 0] | ~missing[..., 1, 0]
-    s = np.where(used[..., None], (batch.anchors.position - centre)[:, None], 0.0)  # (R, T, B, 3)
+    s = np.where(used[..., None], batch.anchors.position - centre, 0.0)  # (R, T, B, 3)
     n, m2 = used.sum(axis=-1), (s**2).sum(axis=(-1, -2))
     apart = n * m2 - (s.sum(axis=-2) ** 2).sum(axis=-1)
-    return np.where((apart > SINGULAR * n * m2)[..., None], solve(A, g) + centre, np.nan)
+    return np.where((apart > SINGULAR * n * m2)[..., None], solve(A, g) + centre[:, :, 0], np.nan)

@@ -14,7 +14,6 @@ of bearing lines in two dimensions.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from aoabench.errors import check_number
 from aoabench.estimators.plane import clipped, directions
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import solve
+from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
 
@@ -34,7 +34,7 @@ def projectors(batch: Batch) -> tuple[Array, np.ndarray]:
     whole: np.ndarray = np.asarray(np.isfinite(u).all(axis=-1))
     phi = np.where(np.isfinite(batch.azimuth), batch.azimuth, 0.0)
     n = np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=-1)
-    n = (n[..., None, :] @ batch.anchors.rotation[:, None])[..., 0, :]
+    n = (n[..., None, :] @ batch.anchors.rotation)[..., 0, :]
     u = np.where(whole[..., None], u, 0.0)
     line, plane = np.eye(3) - u[..., :, None] * u[..., None, :], n[..., :, None] * n[..., None, :]
     measured = np.isfinite(batch.azimuth)
@@ -45,7 +45,7 @@ def projectors(batch: Batch) -> tuple[Array, np.ndarray]:
 
 def nearest_point(P: Array, s: Array) -> Array:
     """The point (R, T, 3) m nearest to lines or planes with projectors P (R, T, B, 3, 3) through s
-    (R|1, 1, B, 3) m.
+    (R|1, T|1, B, 3) m.
 
     NaN where they do not determine it; z alone is NaN where they say nothing of it.
     """
@@ -64,7 +64,7 @@ def distances(P: Array, s: Array, p: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class LineLeastSquares:
+class LineLeastSquares(Estimator):
     """The nearest point to all lines; `clip`: x and y are moved into the scenario's bounds, if it
     has any.
 
@@ -72,19 +72,21 @@ class LineLeastSquares:
     """
 
     clip: bool = True
-    tile: ClassVar[int] = 8
+    tile = 8
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"several_anchors"})
+
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """`failed` where fewer than two anchors measured or all lines are parallel."""
         P, measured = projectors(batch)
-        p = nearest_point(P, batch.anchors.position[:, None])
-        return _estimates(
-            p, distances(P, batch.anchors.position[:, None], p), measured, scenario, self.clip
-        )
+        p = nearest_point(P, batch.anchors.position)
+        return _estimates(p, distances(P, batch.anchors.position, p), measured, scenario, self.clip)
 
 
 @dataclass(frozen=True)
-class AnchorDiscarding:
+class AnchorDiscarding(Estimator):
     """Least squares that discards, one by one, the anchor whose line is furthest from the point.
 
     It stops when the root mean square distance is at most `threshold_m` or two anchors are left.
@@ -93,14 +95,18 @@ class AnchorDiscarding:
 
     threshold_m: float = 0.3
     clip: bool = True
-    tile: ClassVar[int] = 8
+    tile = 8
 
     def __post_init__(self) -> None:
         check_number("threshold_m", self.threshold_m, least=0)
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"several_anchors"})
+
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         P, used = projectors(batch)
-        s = batch.anchors.position[:, None]
+        s = batch.anchors.position
         p = nearest_point(P, s)
         for _ in range(used.shape[-1] - 2):
             d = np.where(used, distances(P, s, p), 0.0)
@@ -115,7 +121,7 @@ class AnchorDiscarding:
         return _estimates(p, distances(P, s, p), used, scenario, self.clip)
 
 
-def _estimates(p: Array, d: Array, used: np.ndarray, scenario: Any, clip: bool) -> Estimates:
+def _estimates(p: Array, d: Array, used: np.ndarray, scenario: Scenario, clip: bool) -> Estimates:
     found = np.isfinite(p[..., :2]).all(axis=-1)
     n = used.sum(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -18,17 +18,16 @@ updates is `iterations`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
 from aoabench.errors import check_choice, check_number
 from aoabench.estimators.least_squares import KERNELS, ROWS, by_kernel, measured, planes
-from aoabench.kernels import loading
+from aoabench.kernels.loading import Compiled, check_engine
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import solve
+from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
 
@@ -38,7 +37,7 @@ TURN = 2.0 * math.pi
 
 
 @dataclass(frozen=True)
-class GaussNewton:
+class GaussNewton(Compiled, Estimator):
     """`azimuth`: arctan, atan2 or kcorr; `as_printed`: null, or an erratum to run as the paper
     prints it.
 
@@ -51,7 +50,8 @@ class GaussNewton:
     updates: int = 1000
     as_printed: str | None = None
     engine: str = "auto"
-    tile: ClassVar[int] = 1
+    tile = 1
+    kernels = KERNELS
 
     def __post_init__(self) -> None:
         check_choice("azimuth", self.azimuth, AZIMUTHS)
@@ -60,16 +60,15 @@ class GaussNewton:
         check_number("updates", self.updates, least=1, most=1_000_000, integer=True)
         if self.as_printed is not None:
             check_choice("as_printed", self.as_printed, PRINTED)
-        loading.check_engine(self.engine)
+        check_engine(self.engine)
 
-    def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile what is needed, before others work in parallel."""
-        if self.engine == "auto":
-            loading.prepare(KERNELS, say)
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"several_anchors"})
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix, the number of updates, and what became of the iteration."""
-        compiled = loading.load(KERNELS) if self.engine == "auto" else None
+        compiled = self.compiled(batch.anchors)
         if compiled is not None:
             variant = (
                 AZIMUTHS.index(self.azimuth),
@@ -122,9 +121,8 @@ class GaussNewton:
     ) -> tuple[Array, Array]:
         """G^T C^-1 G (N, 3, 3) and G^T C^-1 (y - f) (N, 3) at positions (N, 3)."""
         R = anchors.rotation[0]
-        u, v, w = np.moveaxis(
-            (R @ (x[:, None] - anchors.position[0])[..., None])[..., 0], -1, 0
-        )  # (N, B)
+        local = (R @ (x[:, None] - anchors.position[0])[..., None])[..., 0]
+        u, v, w = np.moveaxis(local, -1, 0)  # (N, B)
         with np.errstate(divide="ignore", invalid="ignore"):
             rho2 = u * u + v * v
             rho, r2 = np.sqrt(rho2), rho2 + w * w

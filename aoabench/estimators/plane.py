@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from aoabench.errors import BadValue
 from aoabench.maths.geometry import Array, to_unit
+from aoabench.roles import Scenario
 from aoabench.types import Anchors, Batch, Estimates, Outcome
 
 
@@ -16,7 +15,7 @@ def directions(batch: Batch) -> Array:
     measured.
     """
     u = to_unit(batch.azimuth, batch.elevation)
-    return (u[..., None, :] @ batch.anchors.rotation[:, None])[..., 0, :]
+    return (u[..., None, :] @ batch.anchors.rotation)[..., 0, :]
 
 
 def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array:
@@ -27,7 +26,7 @@ def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array
     turned down (or up, towards the plane) to that angle; an exactly vertical one meets it at the
     anchor.
     """
-    s = anchors.position[:, None]
+    s = anchors.position
     h = height - s[..., 2]
     flat = np.hypot(u[..., 0], u[..., 1])
     towards = np.maximum(u[..., 2] * np.sign(h), flat * np.tan(horizon))
@@ -36,38 +35,30 @@ def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array
     return s[..., :2] + np.where(np.isfinite(flat), reach, np.nan)[..., None] * u[..., :2]
 
 
-def known_height(scenario: Any) -> float | None:
-    """The height m at which the scenario says that its target is; None where it says none, or no
-    single one.
-    """
-    height = getattr(scenario, "height_m", None)
-    return height if isinstance(height, int | float) else None
-
-
-def plane_of(height_m: float | None, scenario: Any) -> float:
+def plane_of(height_m: float | None, scenario: Scenario) -> float:
     """The height m that a method was given, or else the scenario's. BadValue where none is, or an
     anchor in it.
     """
-    height = known_height(scenario) if height_m is None else height_m
+    height = scenario.known_height_m if height_m is None else height_m
     if height is None:
         raise BadValue(
             "height_m",
             None,
             "a number of m: the scenario does not say at which height its target is",
         )
-    level = np.abs(scenario.known_anchors.position[..., 2] - height) < 1e-9
+    level = np.abs(scenario.true_anchors.position[..., 2] - height) < 1e-9
     if level.any():
         raise BadValue(
             "height_m",
             height,
-            f"a height other than that of anchor {np.flatnonzero(level.any(0))[0] + 1}",
+            f"a height other than that of anchor {np.flatnonzero(level.any((0, 1)))[0] + 1}",
         )
     return float(height)
 
 
-def clipped(xy: Array, scenario: Any, clip: bool) -> Array:
+def clipped(xy: Array, scenario: Scenario, clip: bool) -> Array:
     """Points (..., 2) m moved into the scenario's bounds, if it has any and `clip` says so."""
-    bounds = getattr(scenario, "bounds_m", None)
+    bounds = scenario.bounds_m
     return xy if bounds is None or not clip else np.clip(xy, *np.asarray(bounds))
 
 

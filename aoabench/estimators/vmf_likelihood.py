@@ -13,15 +13,15 @@ a known height.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
 from aoabench.errors import BadValue, check_number
 from aoabench.estimators.lines import nearest_point
-from aoabench.estimators.plane import clipped, directions, known_height, plane_of
+from aoabench.estimators.plane import clipped, directions, plane_of
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import solve
+from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
 
@@ -29,7 +29,7 @@ FREE = "free"
 
 
 @dataclass(frozen=True)
-class VmfLikelihood:
+class VmfLikelihood(Estimator):
     """`height_m`: m, or `free` to estimate z too, or null for the scenario's height, free where it
     has none.
 
@@ -43,7 +43,7 @@ class VmfLikelihood:
     tolerance_m: float = 1e-4
     updates: int = 100
     clip: bool = True
-    tile: ClassVar[int] = 8
+    tile = 8
 
     def __post_init__(self) -> None:
         if self.height_m != FREE:
@@ -54,23 +54,28 @@ class VmfLikelihood:
         check_number("tolerance_m", self.tolerance_m, above=0, most=1e6)
         check_number("updates", self.updates, least=1, most=1_000_000, integer=True)
 
-    def check(self, scenario: Any) -> None:
-        """Raise BadValue where an anchor stands in the plane."""
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"elevation"} | ({"several_anchors"} if self.height_m == FREE else set()))
+
+    def check(self, scenario: Scenario, noise: Noise) -> None:
+        """Raise UserError also where an anchor lies in the plane."""
+        super().check(scenario, noise)
         self._height(scenario)
 
-    def _height(self, scenario: Any) -> float | None:
-        if self.height_m == FREE or (self.height_m is None and known_height(scenario) is None):
+    def _height(self, scenario: Scenario) -> float | None:
+        if self.height_m == FREE or (self.height_m is None and scenario.known_height_m is None):
             return None
         return plane_of(self.height_m, scenario)  # type: ignore[arg-type]
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         height = self._height(scenario)
         d = directions(batch)
         known: np.ndarray = np.asarray(np.isfinite(d).all(axis=-1))
         d = np.where(known[..., None], d, 0.0)
         w = known * (1.0 if batch.azimuth_sigma is None else 1.0 / np.square(batch.azimuth_sigma))
         w = np.where(known & np.isfinite(w), w, 0.0)
-        s = np.broadcast_to(batch.anchors.position[:, None], d.shape)
+        s = np.broadcast_to(batch.anchors.position, d.shape)
         P = np.where(known[..., None, None], np.eye(3) - d[..., :, None] * d[..., None, :], 0.0)
         start = nearest_point(P, s)
         if height is not None:

@@ -15,16 +15,17 @@ error of the position: A becomes A (I + C A)^-1 with S without C; that is what (
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_choice
+from aoabench.errors import BadValue, Unfit, check_choice
 from aoabench.filters.trace import innovations
-from aoabench.kernels import loading
+from aoabench.kernels.loading import Compiled, check_engine
 from aoabench.maths.geometry import LIGHT, Array, wrap
+from aoabench.roles import NEEDS, Estimator, Scenario, believed
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
 
@@ -37,7 +38,7 @@ RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 
 @dataclass(frozen=True)
-class AccessNodeEKF:
+class AccessNodeEKF(Compiled, Estimator):
     """EKF with times and angles (`toa: true`) or angles alone.
 
     What the filter believes of the ANs' positions is what the anchors state (`position_sigma`;
@@ -50,7 +51,8 @@ class AccessNodeEKF:
     as_printed: Sequence[str] = ()
     _: KW_ONLY
     engine: str = "auto"
-    tile: ClassVar[int] = 8
+    tile = 8
+    kernels = KERNELS
 
     def __post_init__(self) -> None:
         if not isinstance(self.toa, bool):
@@ -59,63 +61,44 @@ class AccessNodeEKF:
             raise BadValue("as_printed", self.as_printed, f"a list of {', '.join(PRINTED)}")
         for flag in self.as_printed:
             check_choice("as_printed", flag, PRINTED)
-        loading.check_engine(self.engine)
+        check_engine(self.engine)
 
-    def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile what is needed, before others work in parallel."""
-        if self.engine == "auto":
-            loading.prepare(KERNELS, say)
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"motion", "prior", "stated_sigma"} | ({"delay"} if self.toa else set()))
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
-        if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
-            raise BadValue(
-                "filter", type(self).__name__, "a scenario with a motion model and a prior"
-            )
+        belief = believed(batch, scenario)
         if self.toa and (batch.delay is None or batch.delay_sigma is None):
-            raise BadValue(
-                "filter", "ekf_toa_aoa", "a noise that measures times of arrival: ofdm_crlb"
-            )
+            raise Unfit(*NEEDS["delay"])
         if batch.azimuth_sigma is None or batch.elevation_sigma is None:
-            raise BadValue(
-                "filter", type(self).__name__, "measurements that state their deviations"
-            )
-        F, Q = scenario.motion.matrices(scenario.dt)
-        y, q, heard = self.measured(batch)
-        sigma = batch.anchors.position_sigma
-        C = np.zeros((batch.azimuth.shape[2], 3)) if sigma is None else np.square(sigma[0])
-        compiled = loading.load(KERNELS) if self.engine == "auto" else None
+            raise Unfit(*NEEDS["stated_sigma"])
+        compiled = self.compiled(batch.anchors)
         recursion = self._recursion if compiled is None else compiled.run
         flags = tuple(name in self.as_printed for name in PRINTED)
-        position, covariance = recursion(
-            batch.prior_mean, batch.prior_cov, F, Q, y, q, heard, batch.anchors, C, flags
-        )
+        given = (*belief, *self.measured(batch), batch.anchors, _variances(batch.anchors), flags)
+        position, covariance = recursion(*given)
         finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
-        return Estimates(
-            position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
-        )
+        outcome = np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
+        return Estimates(position, covariance, None, outcome)
 
-    def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
+    def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by access node and component; NaN where it was
         not heard.
         """
-        F, Q = scenario.motion.matrices(scenario.dt)
         y, q, heard = self.measured(batch)
-        R, T, B = batch.azimuth.shape
-        sigma = batch.anchors.position_sigma
-        C = np.zeros((B, 3)) if sigma is None else np.square(sigma[0])
         flags = tuple(name in self.as_printed for name in PRINTED)
-        assert batch.prior_mean is not None
-        assert batch.prior_cov is not None
-        seen: list[Array] = []
-        given = batch.prior_mean, batch.prior_cov, F, Q, y, q, heard, batch.anchors, C, flags
+        anchors, seen = batch.anchors, list[Array]()
+        given = (*believed(batch, scenario), y, q, heard, anchors, _variances(anchors), flags)
         self._recursion(*given, seen)
-        found = np.full((R, T, B, 3), np.nan)
+        found = np.full((*batch.azimuth.shape, 3), np.nan)
         own = heard >= 0
         found[:, np.nonzero(own)[0], heard[own]] = np.stack(seen, axis=1)[:, own]
         names = ("range_m", "azimuth_rad", "elevation_rad")
-        return innovations(found.reshape(R, T, -1), B, names)
+        shape = (*batch.azimuth.shape[:2], -1)
+        return innovations(found.reshape(shape), batch.azimuth.shape[2], names)
 
     def measured(self, batch: Batch) -> tuple[Array, Array, np.ndarray]:
         """What the ANs heard at each step (T, K) measured, -1 filling up: ANs that nobody heard are
@@ -178,12 +161,12 @@ class AccessNodeEKF:
         ):  # a replication that overflows becomes NaN and is counted as failed
             for k, of in enumerate(heard):
                 x, P = x @ F.T, F @ P @ F.T + Q
-                those = Anchors(anchors.position[:, of], anchors.rotation[:, of])
+                those = anchors.at(k).those(of)
                 if seen is not None:
                     v = y[:, k] - expected(x[:, :3], those, flags[0])[0]
                     v[..., 1] = wrap(v[..., 1])
                     seen.append(v)
-                A, g = information(x[:, :3], y[:, k], q[:, k], those, C[of], flags)
+                A, g = information(x[:, :3], y[:, k], q[:, k], those, C[:, of], flags)
                 W = np.linalg.solve(
                     np.eye(3) + A @ P[:, :3, :3], np.concatenate([A, g[..., None]], axis=-1)
                 )
@@ -195,21 +178,26 @@ class AccessNodeEKF:
         return np.stack(means, axis=1), np.stack(covariances, axis=1)
 
 
+def _variances(anchors: Anchors) -> Array:
+    """Variances (R|1, B, 3) m^2 of the ANs' positions as they are stated; 0 where they are exact."""
+    sigma = anchors.position_sigma
+    return np.zeros((1, anchors.count, 3)) if sigma is None else np.square(sigma[:, 0])
+
+
 def information(
     x: Array, y: Array, q: Array, anchors: Anchors, C: Array, flags: tuple[bool, ...] = (False,) * 4
 ) -> tuple[Array, Array]:
     """A (R, 3, 3) and g (R, 3) of one step's measurements y with variances q (R, B, 3) at positions
     x (R, 3) m.
 
-    C (B, 3) m^2: variances of the ANs' positions.
+    C (R|1, B, 3) m^2: variances of the ANs' positions; anchors are those of one step.
     """
     jacobian, unwrapped, shared, apart = flags
+    rotation = anchors.frames[1]
     h, H = expected(x, anchors, jacobian)
     v = y - h
     if unwrapped:
-        turn = np.arctan2(
-            anchors.rotation[..., 0, 1], anchors.rotation[..., 0, 0]
-        )  # the broadside's direction
+        turn = np.arctan2(rotation[..., 0, 1], rotation[..., 0, 0])  # the broadside's direction
         v[..., 1] = wrap(y[..., 1] + turn) - wrap(h[..., 1] + turn)
     else:
         v[..., 1] = wrap(v[..., 1])
@@ -220,13 +208,13 @@ def information(
     if shared:
         groups = (np.array([1.0, 0, 0]), np.array([0, 1.0, 1])) if apart else (np.ones(3),)
         A, g = np.zeros((len(x), 3, 3)), np.zeros((len(x), 3))
-        c = np.diag(C[0])
+        c = C[:, 0, :, None] * np.eye(3)
         for group in groups:
             a, b = gather(H * group[:, None], v, S)
             both = np.linalg.solve(np.eye(3) + a @ c, np.concatenate([a, b[..., None]], axis=-1))
             A, g = A + both[..., :3], g + both[..., 3]
         return A, g
-    S += (H * C[:, None, :]) @ np.swapaxes(H, -1, -2)
+    S += (H * C[:, :, None, :]) @ np.swapaxes(H, -1, -2)
     if apart:
         S[..., 0, 1:] = S[..., 1:, 0] = 0.0
     return gather(H, v, S)
@@ -248,8 +236,8 @@ def expected(x: Array, anchors: Anchors, printed: bool = False) -> tuple[Array, 
     `printed` takes the denominators of (21): d_2D^2 for d_2D d^2 and for d^2 in the elevation's
     row, d_2D for d_2D^2 in the azimuth's.
     """
-    R = anchors.rotation
-    local = (R @ (x[:, None] - anchors.position)[..., None])[..., 0]  # (R, B, 3)
+    position, R = anchors.frames
+    local = (R @ (x[:, None] - position)[..., None])[..., 0]  # (R, B, 3)
     u, v, w = np.moveaxis(local, -1, 0)
     rho2 = np.maximum(u * u + v * v, RHO2_FLOOR)
     rho, d2 = np.sqrt(rho2), rho2 + w * w

@@ -6,21 +6,12 @@ the kernel would not know of.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
+from aoabench.roles import Measurement
 
 KINDS = ("unit_vector", "azel", "azel_adaptive")  # as numbered in the kernels' files
 
 
-def kind_of(measurement: Any, engine: str = "auto") -> int | None:
+def kind_of(measurement: Measurement, engine: str = "auto") -> int | None:
     """The number of the kernel that this measurement model names in its own class, or None."""
     name = vars(type(measurement)).get("kernel")
     return KINDS.index(name) if engine == "auto" and name in KINDS else None
-
-
-def variances(measurement: Any) -> np.ndarray:
-    """Variances (181, 2) rad^2 of azimuth and elevation at -90, -89 ... 90 degrees, for a model
-    that has them.
-    """
-    return measurement.variances() if hasattr(measurement, "variances") else np.ones((181, 2))

@@ -13,18 +13,19 @@ N1-N8].
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_choice, check_number
-from aoabench.filters.compiled import kind_of, variances
+from aoabench.errors import check_choice, check_number
+from aoabench.filters.compiled import kind_of
 from aoabench.filters.trace import innovations
-from aoabench.kernels import loading
+from aoabench.kernels.loading import Compiled, check_engine
 from aoabench.maths.geometry import Array
-from aoabench.roles import Measurement
+from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
 
@@ -36,91 +37,74 @@ KERNELS = "kernels.kalman"
 
 
 @dataclass(frozen=True)
-class _Kalman:
+class _Kalman(Compiled, Filter):
     """The recursion that both filters share; the scenario brings the motion model and the prior.
 
     `engine`: `auto` takes the compiled kernel where there is one for the measurement model, `numpy`
     never does.
     """
 
-    measurement: Measurement
+    measurement: Measurement = field()
     _: KW_ONLY
     engine: str = "auto"
-    tile: ClassVar[int] = 128
+    tile = 128
+    kernels = KERNELS
 
     def __post_init__(self) -> None:
-        loading.check_engine(self.engine)
+        check_engine(self.engine)
 
     def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile what is needed, before others work in parallel."""
-        if self.kernel() is not None:
-            loading.prepare(KERNELS, say)
+        """Compile or load the kernels, where there is one for the measurement model."""
+        if self.kind() is not None:
+            super().prepare(say)
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
-        if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
-            raise BadValue(
-                "filter", type(self).__name__, "a scenario with a motion model and a prior"
-            )
-        F, Q = scenario.motion.matrices(scenario.dt)
-        Y, quality = self.measurement.observe(batch)
-        kernel = self.kernel()
-        compiled = None if kernel is None else loading.load(KERNELS)
-        if kernel is None or compiled is None:
-            position, covariance = self._recursion(batch, batch.prior_cov, F, Q, Y, quality)
+        belief, (Y, quality) = believed(batch, scenario), self.measurement.observe(batch)
+        kind = self.kind()
+        compiled = None if kind is None else self.compiled(batch.anchors)
+        if kind is None or compiled is None:
+            position, covariance = self._recursion(batch.anchors, belief, Y, quality)
         else:
             position, covariance = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
-            function, kind, *more = kernel
-            model, anchors = (batch.prior_mean, batch.prior_cov, F, Q), batch.anchors
-            arrays = (
-                *model,
-                Y,
-                quality,
-                anchors.position,
-                anchors.rotation,
-                variances(self.measurement),
-            )
-            given = (np.ascontiguousarray(a, dtype=float) for a in arrays)
-            getattr(compiled, function)(kind, *given, position, covariance, *more)
+            table = self.measurement.variances()
+            arrays = (*belief, Y, quality, *batch.anchors.frames, table)
+            given = [np.ascontiguousarray(a, dtype=float) for a in arrays]
+            self._compiled(compiled, kind, given, position, covariance)
         finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
-        return Estimates(
-            position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
-        )
+        outcome = np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
+        return Estimates(position, covariance, None, outcome)
 
-    def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
+    def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by component."""
         seen: list[Array] = []
-        F, Q = scenario.motion.matrices(scenario.dt)
-        self._recursion(
-            batch, np.asarray(batch.prior_cov), F, Q, *self.measurement.observe(batch), seen
-        )
+        measured = self.measurement.observe(batch)
+        self._recursion(batch.anchors, believed(batch, scenario), *measured, seen)
         return innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
 
     def _recursion(
         self,
-        batch: Batch,
-        P: Array,
-        F: Array,
-        Q: Array,
+        anchors: Anchors,
+        belief: Belief,
         Y: Array,
         quality: Array,
         seen: list[Array] | None = None,
     ) -> tuple[Array, Array]:
-        """The same in NumPy, for any measurement model; innovations (R, m) are appended to `seen`."""
-        h = self.measurement
-        x = np.asarray(batch.prior_mean)
-        P = np.broadcast_to(P, (*x.shape, x.shape[-1]))
+        """Means (R, T, 3) and covariances (R, T, 3, 3) in NumPy, for any measurement model;
+        innovations (R, m) are appended to `seen`.
+        """
+        h, F = self.measurement, belief.F
+        x = np.asarray(belief.mean)
+        P = np.broadcast_to(belief.covariance, (*x.shape, x.shape[-1]))
         means, covariances = [], []
-        with np.errstate(
-            all="ignore"
-        ):  # a replication that overflows becomes NaN and is counted as failed
+        with np.errstate(all="ignore"):  # what overflows becomes NaN and is counted as failed
             for k in range(Y.shape[1]):
-                x = x @ F.T
-                P = F @ P @ F.T + Q
+                here = anchors.at(k)
+                x, P = x @ F.T, F @ P @ F.T + belief.Q
                 if seen is not None:
-                    seen.append(h.residual(Y[:, k], h.predict(x, batch.anchors)))
-                x, P = self.update(x, P, Y[:, k], quality[:, k], batch.anchors)
+                    seen.append(h.residual(Y[:, k], h.predict(x, here)))
+                x, P = self.update(x, P, Y[:, k], quality[:, k], here)
                 means.append(x[:, :3])
                 covariances.append(P[:, :3, :3])
         return np.stack(means, axis=1), np.stack(covariances, axis=1)
@@ -133,20 +117,38 @@ class _Kalman:
         """
         raise NotImplementedError
 
-    def kernel(self) -> tuple[Any, ...] | None:
-        """Compiled function, number of the measurement model and further arguments; None if there
-        is none.
-        """
+    def kind(self) -> int | None:
+        """The number of the measurement model in the kernels; None where NumPy computes."""
         return None
+
+    def _compiled(
+        self,
+        compiled: ModuleType,
+        kind: int,
+        given: Sequence[Array],
+        position: Array,
+        covariance: Array,
+    ) -> None:
+        """Fill in means (R, T, 3) and covariances (R, T, 3, 3) by the kernel."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class EKF(_Kalman):
     """Extended Kalman filter: h linearised at the predicted mean [Nurminen 2018, Alg. 2]."""
 
-    def kernel(self) -> tuple[Any, ...] | None:
-        kind = kind_of(self.measurement, self.engine)
-        return None if kind is None or type(self) is not EKF else ("ekf", kind)
+    def kind(self) -> int | None:
+        return kind_of(self.measurement, self.engine) if type(self) is EKF else None
+
+    def _compiled(
+        self,
+        compiled: ModuleType,
+        kind: int,
+        given: Sequence[Array],
+        position: Array,
+        covariance: Array,
+    ) -> None:
+        compiled.ekf(kind, *given, position, covariance)
 
     def update(
         self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
@@ -180,11 +182,21 @@ class UKF(_Kalman):
         check_number("lambda_", self.lambda_, least=0)
         check_choice("form", self.form, ("averaged", "centre", "augmented"))
 
-    def kernel(self) -> tuple[Any, ...] | None:
-        kind = kind_of(self.measurement, self.engine)
-        if kind is None or type(self) is not UKF or self.form == "augmented":
+    def kind(self) -> int | None:
+        if type(self) is not UKF or self.form == "augmented":
             return None
-        return "ukf", kind, float(self.lambda_), ("averaged", "centre").index(self.form)
+        return kind_of(self.measurement, self.engine)
+
+    def _compiled(
+        self,
+        compiled: ModuleType,
+        kind: int,
+        given: Sequence[Array],
+        position: Array,
+        covariance: Array,
+    ) -> None:
+        form = ("averaged", "centre").index(self.form)
+        compiled.ukf(kind, *given, position, covariance, float(self.lambda_), form)
 
     def update(
         self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors

@@ -14,20 +14,20 @@ one.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from aoabench.errors import BadValue, check_number
-from aoabench.filters.compiled import KINDS, kind_of, variances
+from aoabench.filters.compiled import kind_of
+from aoabench.filters.particle_inputs import KernelDraws, shared_normals, terms, weights_table
 from aoabench.filters.trace import innovations
-from aoabench.kernels import loading
+from aoabench.kernels.loading import Compiled, check_engine, load
 from aoabench.maths.geometry import Array
-from aoabench.roles import Measurement
+from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import PARTICLES, Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
 
@@ -35,13 +35,44 @@ if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash
     from aoabench.kernels import particle  # noqa: F401
 
 KERNELS = "kernels.particle"
-SHARED_BYTES = (
-    2**26
-)  # the normals of one replication are kept for the next filter if they fit into this
+
+
+class Normals(Protocol):
+    """Where a filter draws from: numpy.random.Generator, or the kernel's own draws."""
+
+    def standard_normal(self, shape: tuple[int, int]) -> Array: ...
+    def random(self) -> float: ...
+
+
+class Track(NamedTuple):
+    """One replication: the belief, whose mean is (n,), measured values and their variances (T, m),
+    and the anchors (1, T|1, B, ...).
+    """
+
+    belief: Belief
+    Y: Array
+    quality: Array
+    anchors: Anchors
+
+
+class Posterior(NamedTuple):
+    """One replication: means (T, 3) m, covariances (T, 3, 3) m^2, outcomes (T,), and effective
+    numbers of particles (T,).
+    """
+
+    mean: Array
+    covariance: Array
+    outcome: np.ndarray
+    effective: Array
+
+    @classmethod
+    def empty(cls, T: int) -> Posterior:
+        """For T steps, to be filled in."""
+        return cls(np.empty((T, 3)), np.empty((T, 3, 3)), np.empty(T, dtype=np.int8), np.empty(T))
 
 
 @dataclass(frozen=True)
-class ParticleFilter:
+class ParticleFilter(Compiled, Filter):
     """`particles` > 0 of them; resampled where the effective number falls below the fraction
     `resample_below`.
 
@@ -52,141 +83,115 @@ class ParticleFilter:
     precision does.
     """
 
-    measurement: Measurement
+    measurement: Measurement = field()
     particles: int = 10_000
     resample_below: float = 0.1
     engine: str = "auto"
-    tile: ClassVar[int] = 1  # one replication at a time: the particles are the batch
+    tile = 1  # one replication at a time: the particles are the batch
+    kernels = KERNELS
 
     def __post_init__(self) -> None:
         check_number("particles", self.particles, least=1, most=10_000_000, integer=True)
         check_number("resample_below", self.resample_below, least=0, most=1)
-        loading.check_engine(self.engine, ("double",))
+        check_engine(self.engine, ("double",))
 
     def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile what is needed, before others work in parallel."""
+        """Compile or load the kernels, where there is one for the measurement model."""
         if kind_of(self.measurement, self.engine) is not None:
-            loading.prepare(KERNELS, say)
+            super().prepare(say)
 
-    def __call__(self, batch: Batch, scenario: Any, streams: Streams) -> Estimates:
+    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """Posterior means (R, T, 3) m and covariances (R, T, 3, 3) m^2.
 
         A step whose likelihood is 0 (or NaN) at every particle tells nothing: the particles keep
         their weights, and the fix is `diverged`.
         """
-        if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
-            raise BadValue(
-                "filter", type(self).__name__, "a scenario with a motion model and a prior"
-            )
-        found = self._each(batch, scenario, streams)
-        position, outcome = np.stack([one[0] for one in found]), np.stack([one[2] for one in found])
+        found = self._each(batch, believed(batch, scenario), streams)
+        position = np.stack([one.mean for one in found])
+        outcome = np.stack([one.outcome for one in found])
         outcome[~np.isfinite(position).all(-1)] = Outcome.FAILED
-        return Estimates(position, np.stack([one[1] for one in found]), None, outcome)
+        return Estimates(position, np.stack([one.covariance for one in found]), None, outcome)
 
-    def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
+    def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Effective numbers of particles `ess` (R, T) and innovations (R, T) at the predicted mean,
         by component.
         """
-        found = self._each(batch, scenario, streams)
-        columns = {"ess": np.stack([one[3] for one in found])}
-        F, _ = scenario.motion.matrices(scenario.dt)
-        if len(F) == 3:  # elsewhere the mean of the whole state is not kept
-            h, means = self.measurement, np.stack([one[0] for one in found])
+        belief = believed(batch, scenario)
+        found = self._each(batch, belief, streams)
+        columns = {"ess": np.stack([one.effective for one in found])}
+        if len(belief.F) == 3:  # elsewhere the mean of the whole state is not kept
+            h, means = self.measurement, np.stack([one.mean for one in found])
             Y, _ = h.observe(batch)
-            x = np.concatenate([np.asarray(batch.prior_mean)[:, None], means[:, :-1]], axis=1) @ F.T
-            seen = [
-                h.residual(Y[:, k], h.predict(x[:, k], batch.anchors)) for k in range(Y.shape[1])
-            ]
+            x = np.concatenate([belief.mean[:, None], means[:, :-1]], axis=1) @ belief.F.T
+            expected = [h.predict(x[:, k], batch.anchors.at(k)) for k in range(Y.shape[1])]
+            seen = [h.residual(Y[:, k], y) for k, y in enumerate(expected)]
             columns |= innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
         return columns
 
-    def _each(
-        self, batch: Batch, scenario: Any, streams: Streams
-    ) -> list[tuple[Array, Array, np.ndarray, Array]]:
-        """Per replication means (T, 3), covariances (T, 3, 3), outcomes (T,), effective numbers
-        (T,).
-        """
+    def _each(self, batch: Batch, belief: Belief, streams: Streams) -> list[Posterior]:
+        """The posterior of each replication."""
         Y, quality = self.measurement.observe(batch)
-        F, Q = scenario.motion.matrices(scenario.dt)
-        kind = kind_of(self.measurement, self.engine) if len(F) == 3 else None
-        compiled = None if kind is None else loading.load(KERNELS)
+        kind = kind_of(self.measurement, self.engine) if len(belief.F) == 3 else None
+        compiled = None if kind is None else self.compiled(batch.anchors)
         found = []
         for i in range(len(Y)):
-            given = batch, i, F, Q, Y[i], quality[i]
+            track = Track(
+                belief._replace(mean=belief.mean[i]), Y[i], quality[i], batch.anchors.of(i)
+            )
             if self.engine == "double":
-                found.append(self._along_the_kernel(*given, streams))
+                found.append(self._along_the_kernel(track, i, streams))
             elif kind is None or compiled is None:
-                found.append(self._replication(*given, streams.estimator(i, PARTICLES)))
+                found.append(self._reference(track, streams.estimator(i, PARTICLES)))
             else:
-                found.append(self._compiled(compiled, kind, *given, streams))
+                found.append(self._compiled(compiled, kind, track, i, streams))
         return found
 
-    def _replication(
-        self,
-        batch: Batch,
-        i: int,
-        F: Array,
-        Q: Array,
-        Y: Array,
-        quality: Array,
-        rng: Any,
-        chosen: np.ndarray | None = None,
-    ) -> tuple[Array, Array, np.ndarray, Array]:
-        """One replication in NumPy: what `_each` says of it, from Y, quality (T, m).
+    def _reference(self, track: Track, rng: Normals, chosen: np.ndarray | None = None) -> Posterior:
+        """One replication in NumPy.
 
-        `chosen` (T, 2, N): parents that somebody else chose by weights q, -1 where nobody did;
-        children keep w / q.
+        `chosen` (T, 2, N): ancestors chosen by the compiled filter and its weights q, -1 where it
+        does not resample at a step; offspring then carry the weights w / q.
         """
-        assert batch.prior_mean is not None
-        assert batch.prior_cov is not None
-        (T, _), N, n = Y.shape, self.particles, len(F)
-        position, covariance, outcome = (
-            np.empty((T, 3)),
-            np.empty((T, 3, 3)),
-            np.full(T, Outcome.OK, dtype=np.int8),
-        )
-        effective = np.empty(T)
-        root_Q, root_P = np.linalg.cholesky(Q), np.linalg.cholesky(batch.prior_cov)
-        anchors = batch.anchors.of(i)
-        x = batch.prior_mean[i] + rng.standard_normal((N, n)) @ root_P.T
+        belief, Y, quality, anchors = track
+        T, N, n = len(Y), self.particles, len(belief.F)
+        found = Posterior.empty(T)
+        root_Q, root_P = np.linalg.cholesky(belief.Q), np.linalg.cholesky(belief.covariance)
+        x = belief.mean + rng.standard_normal((N, n)) @ root_P.T
         log_w = np.full(N, -np.log(N))
         for k in range(T):
-            x = x @ F.T + rng.standard_normal((N, n)) @ root_Q.T
-            loglik = self.measurement.loglik(x[None], anchors, Y[None, k], quality[None, k])[0]
-            turn = rng.random()
+            x = x @ belief.F.T + rng.standard_normal((N, n)) @ root_Q.T
+            here = anchors.at(k)
+            loglik = self.measurement.loglik(x[None], here, Y[None, k], quality[None, k])[0]
+            offset = rng.random()
             log_w, w, informed = reweigh(log_w, loglik)
-            if not informed:
-                outcome[k] = Outcome.DIVERGED
-            position[k] = w @ x[:, :3]
-            effective[k] = 1.0 / (w @ w)
-            d = x[:, :3] - position[k]
-            covariance[k] = d.T @ (w[:, None] * d)
+            found.outcome[k] = Outcome.OK if informed else Outcome.DIVERGED
+            found.mean[k] = w @ x[:, :3]
+            found.effective[k] = 1.0 / (w @ w)
+            d = x[:, :3] - found.mean[k]
+            found.covariance[k] = d.T @ (w[:, None] * d)
             if chosen is not None:
                 if chosen[k, 0, 0] >= 0:
                     parents = chosen[k, 0].astype(np.intp)
                     x, log_w = x[parents], np.log(w[parents] / chosen[k, 1, parents])
-            elif effective[k] < self.resample_below * N:
-                x = x[systematic(w, turn)]
+            elif found.effective[k] < self.resample_below * N:
+                x = x[systematic(w, offset)]
                 log_w = np.full(N, -np.log(N))
-        return position, covariance, outcome, effective
+        return found
 
     def _compiled(
         self,
         compiled: ModuleType,
         kind: int,
-        batch: Batch,
+        track: Track,
         i: int,
-        F: Array,
-        Q: Array,
-        Y: Array,
-        quality: Array,
         streams: Streams,
         chosen: np.ndarray | None = None,
-    ) -> tuple[Array, Array, np.ndarray, Array]:
-        """The same by the kernel, relative to the prior's mean; `chosen` as above, to be filled in."""
-        assert batch.prior_mean is not None
-        assert batch.prior_cov is not None
-        T, origin = len(Y), batch.prior_mean[i]
+    ) -> Posterior:
+        """The i-th replication by the kernel, relative to the prior's mean; `chosen` as above, to
+        be filled in.
+        """
+        belief, Y, quality, anchors = track
+        T, origin, F = len(Y), belief.mean, belief.F
         key, replication = streams.philox_key(PARTICLES), streams.replications[i]
         noise = shared_normals(compiled, key, replication, T + 1, self.particles)
         out = np.empty((T, 13))
@@ -198,137 +203,35 @@ class ParticleFilter:
             *key,
             F,
             F @ origin - origin,
-            np.linalg.cholesky(Q),
-            np.linalg.cholesky(batch.prior_cov),
-            terms(kind, Y, quality, batch.anchors.of(i), origin),
+            np.linalg.cholesky(belief.Q),
+            np.linalg.cholesky(belief.covariance),
+            terms(kind, Y, quality, anchors, origin),
             weights_table(self.measurement),
             self.resample_below,
             out,
             np.empty((0, 2, self.particles), dtype=np.float32) if chosen is None else chosen,
         )
         outcome = np.full(T, Outcome.OK, dtype=np.int8)
-        return out[:, :3] + origin, out[:, 3:12].reshape(T, 3, 3), outcome, out[:, 12]
+        return Posterior(out[:, :3] + origin, out[:, 3:12].reshape(T, 3, 3), outcome, out[:, 12])
 
-    def _along_the_kernel(
-        self, batch: Batch, i: int, F: Array, Q: Array, Y: Array, quality: Array, streams: Streams
-    ) -> tuple[Array, Array, np.ndarray, Array]:
-        """The replication in double precision with the kernel's draws and the parents that the
-        kernel chose.
+    def _along_the_kernel(self, track: Track, i: int, streams: Streams) -> Posterior:
+        """The i-th replication in double precision with the kernel's draws and the ancestors that
+        the kernel chose.
 
         Resampled particles carry the ratio of the weights in double and in single precision, so
         this is a particle filter in its own right; what differs from the kernel is rounding alone.
-        Left to itself it would choose another parent at the first tie of last bits, and drift apart
-        by as much as two filters with different seeds.
+        Left to itself it would choose another ancestor at the first tie of last bits, and drift
+        apart by as much as two filters with different seeds.
         """
-        kind = kind_of(self.measurement) if len(F) == 3 else None
-        compiled = None if kind is None else loading.load(KERNELS)
+        kind = kind_of(self.measurement) if len(track.belief.F) == 3 else None
+        compiled = None if kind is None or track.anchors.moving else load(KERNELS)
         if kind is None or compiled is None:
-            raise BadValue(
-                "engine", "double", "auto or numpy where there is no kernel, or no numba"
-            )
-        chosen = np.full((len(Y), 2, self.particles), -1.0, dtype=np.float32)
-        self._compiled(compiled, kind, batch, i, F, Q, Y, quality, streams, chosen)
-        draws = _KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[i])
-        return self._replication(batch, i, F, Q, Y, quality, draws, chosen)
-
-
-class _Shared(threading.local):
-    """The normals that this thread drew last; the filters of one replication ask for the same ones
-    in turn.
-    """
-
-    key: tuple[Any, ...] = ()
-    memory = np.empty(0, dtype=np.float32)
-
-
-_shared = _Shared()
-
-
-def shared_normals(
-    compiled: ModuleType, key: tuple[int, int], replication: int, planes: int, particles: int
-) -> Any:
-    """Standard normals (planes, 3, M), float32, of one replication, M = `particles` rounded up to
-    whole tiles.
-
-    Where they would take too much memory, (1, 3, M) for the kernel to draw them into, step by step.
-    """
-    M = -(-particles // compiled.TILE) * compiled.TILE
-    kept = 12 * planes * M <= SHARED_BYTES
-    shape = (planes if kept else 1, 3, M)
-    size = shape[0] * 3 * M
-    if len(_shared.memory) < size:
-        _shared.memory, _shared.key = np.empty(size, dtype=np.float32), ()
-    noise = _shared.memory[:size].reshape(shape)
-    wanted = (key, replication, shape)
-    if kept and _shared.key != wanted:
-        _shared.key = ()
-        for plane in range(planes):
-            compiled.normals(noise[plane], plane, replication, *key)
-        _shared.key = wanted
-    elif not kept:
-        _shared.key = ()
-    return noise
-
-
-@dataclass
-class _KernelDraws:
-    """The kernel's draws in the order in which the reference asks for them."""
-
-    compiled: ModuleType
-    key: tuple[int, int]
-    replication: int
-    normals: int = 0
-    turns: int = 0
-
-    def standard_normal(self, shape: tuple[int, int]) -> Array:
-        """The next plane of normals, (N, 3)."""
-        plane = np.empty(
-            (3, -(-shape[0] // self.compiled.TILE) * self.compiled.TILE), dtype=np.float32
-        )
-        self.compiled.normals(plane, self.normals, self.replication, *self.key)
-        self.normals += 1
-        return plane[:, : shape[0]].T.astype(float)
-
-    def random(self) -> float:
-        """The next step's uniform number."""
-        self.turns += 1
-        return self.compiled.turn(self.turns, self.replication, *self.key)
-
-
-def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) -> np.ndarray:
-    """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal
-    variances (T, m).
-
-    See `kernels.particle.loglik`; what is not measured (NaN) gets the weight 0.
-    """
-    s, R = anchors.position[0] - origin, anchors.rotation[0]
-    B = len(s)
-    y, r = Y.reshape(len(Y), B, -1), quality.reshape(len(Y), B, -1)
-    c = np.zeros((len(Y), B, 15))
-    c[..., :3] = s
-    known = ~np.isnan(y)
-    y = np.where(known, y, 0.0)
-    if kind == KINDS.index("unit_vector"):
-        c[..., 3:6] = (y[..., None, :] @ R)[..., 0, :]
-        c[..., 6] = np.where(known.all(-1), 0.5 / r[..., 0], 0.0)
-        return c.astype(np.float32)
-    cosine, sine = np.cos(y[..., :1]), np.sin(y[..., :1])
-    c[..., 3:6] = cosine * R[:, 0] + sine * R[:, 1]
-    c[..., 6:9] = cosine * R[:, 1] - sine * R[:, 0]
-    c[..., 9:12] = R[:, 2]
-    c[..., 12] = y[..., 1]
-    c[..., 13:15] = known * (0.5 / r if kind == KINDS.index("azel") else 1.0)
-    return c.astype(np.float32)
-
-
-def weights_table(measurement: Measurement) -> np.ndarray:
-    """w = 1 / (2 variance) and then log(w) / 2, each of azimuth and elevation in turn, at -90, -89
-    ... 90 degrees.
-
-    (724,) float32.
-    """
-    w = (0.5 / variances(measurement)).ravel()
-    return np.concatenate([w, 0.5 * np.log(w)]).astype(np.float32)
+            allowed = "auto or numpy where there is no kernel, or no numba"
+            raise BadValue("engine", "double", allowed)
+        chosen = np.full((len(track.Y), 2, self.particles), -1.0, dtype=np.float32)
+        self._compiled(compiled, kind, track, i, streams, chosen)
+        draws = KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[i])
+        return self._reference(track, draws, chosen)
 
 
 def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:
@@ -347,15 +250,15 @@ def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:
     return new - (top + np.log(total)), w / total, informed
 
 
-def systematic(w: Array, turn: float) -> np.ndarray:
-    """Ancestors (N,) by systematic resampling of weights w (N,), sum 1, with one uniform `turn` in
+def systematic(w: Array, offset: float) -> np.ndarray:
+    """Ancestors (N,) by systematic resampling of weights w (N,), sum 1, with one uniform `offset` in
     [0, 1).
 
     Particle i gets floor(N w_i) or one more children, N w_i of them in the mean. O(N): how many of
-    the points (j + turn) / N, j = 0 ... N-1, lie below each cumulative weight.
+    the points (j + offset) / N, j = 0 ... N-1, lie below each cumulative weight.
     """
     N = len(w)
-    below = np.ceil(N * np.cumsum(w) - turn)
+    below = np.ceil(N * np.cumsum(w) - offset)
     below[-1] = N  # whatever the sum's last bits
     counts = np.diff(np.clip(below, 0, N), prepend=0.0)
     return np.repeat(np.arange(N), counts.astype(np.intp))

@@ -387,11 +387,15 @@ def ekf(
 def run(mean, P, F, Q, y, q, heard, anchors, C, flags):
     """Tile by tile: positions (R, T, 3) and covariances (R, T, 3, 3)."""
     R, T = y.shape[:2]
-    places = np.broadcast_to(anchors.position, (R, *anchors.position.shape[1:]))
+    places, rotation = anchors.frames
+    places = np.broadcast_to(places, (R, *places.shape[1:]))
     position, covariance = np.empty((R, T, 3)), np.empty((R, T, 3, 3))
-    for start in range(0, R, TILE):
-        of = slice(start, min(start + TILE, R))
+    # a tile shares orientations and stated deviations: where these differ it is one replication
+    size = TILE if len(rotation) == len(C) == 1 else 1
+    for start in range(0, R, size):
+        of = slice(start, min(start + size, R))
+        turned, known = (a[start if len(a) > 1 else 0] for a in (rotation, C))
         first = [np.ascontiguousarray(a, dtype=float) for a in (mean[of], P, F, Q, y[of], q[of])]
-        more = [np.ascontiguousarray(a, dtype=float) for a in (places[of], anchors.rotation[0], C)]
+        more = [np.ascontiguousarray(a, dtype=float) for a in (places[of], turned, known)]
         ekf(*first, np.ascontiguousarray(heard), *more, *flags, position[of], covariance[of])
     return position, covariance

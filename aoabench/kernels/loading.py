@@ -7,8 +7,10 @@ import threading
 from collections.abc import Callable
 from functools import cache
 from types import ModuleType
+from typing import ClassVar
 
 from aoabench.errors import check_choice
+from aoabench.types import Anchors
 
 ENGINES = ("auto", "numpy")
 
@@ -18,6 +20,22 @@ def check_engine(engine: str, more: tuple[str, ...] = ()) -> None:
     does.
     """
     check_choice("engine", engine, (*ENGINES, *more))
+
+
+class Compiled:
+    """Part of an estimator: compiled kernels for the engine `auto`, NumPy for `numpy`."""
+
+    engine: str
+    kernels: ClassVar[str]  # the module that holds them
+
+    def prepare(self, say: Callable[[str], None]) -> None:
+        """Compile or load the kernels, once, before others work in parallel."""
+        if self.engine == "auto":
+            prepare(self.kernels, say)
+
+    def compiled(self, anchors: Anchors) -> ModuleType | None:
+        """The kernels; None where NumPy computes. Kernels take anchors that do not move."""
+        return load(self.kernels) if self.engine == "auto" and not anchors.moving else None
 
 
 @cache

@@ -44,12 +44,12 @@ def in_frames(point: ArrayLike, position: Array, rotation: Array) -> tuple[Array
     """R_j (theta - s_j): points seen from each anchor, as x, y, z (R, ..., B) m in the anchor's
     frame.
 
-    point (R, ..., 3) m, position (R|1, B, 3) m, rotation (R|1, B, 3, 3).
+    point (R, ..., 3) m, position (R|1, B, 3) m, rotation (R|1, B, 3, 3); or, with a second axis in
+    common, point (R, T, ..., 3) m, position (R|1, T|1, B, 3) m, rotation (R|1, T|1, B, 3, 3).
     """
     p = np.asarray(point, dtype=float)
-    axes = (1,) * (p.ndim - 2)
-    s = position.reshape(len(position), *axes, *position.shape[1:])
-    R = rotation.reshape(len(rotation), *axes, *rotation.shape[1:])
+    s = _aligned(position, p.ndim - 1, 2)
+    R = _aligned(rotation, p.ndim - 1, 3)
     dx, dy, dz = (p[..., i, None] - s[..., i] for i in range(3))
     x, y, z = (R[..., i, 0] * dx + R[..., i, 1] * dy + R[..., i, 2] * dz for i in range(3))
     return x, y, z
@@ -59,7 +59,15 @@ def rotations_for(point: Array, rotation: Array) -> Array:
     """Rotations (R|1, B, 3, 3) with the axes that points (R, ..., n) have between R and the last
     one.
     """
-    return rotation.reshape(rotation.shape[0], *(1,) * (point.ndim - 2), *rotation.shape[1:])
+    return _aligned(rotation, point.ndim - 1, 3)
+
+
+def _aligned(array: Array, leading: int, own: int) -> Array:
+    """An array whose last `own` axes are its own, with `leading` axes in front of these: axes of
+    length 1 are inserted after those that it has.
+    """
+    split = array.ndim - own
+    return array.reshape(*array.shape[:split], *(1,) * (leading - split), *array.shape[split:])
 
 
 def facing(direction: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,22 +16,28 @@ from aoabench.errors import BadValue, check_choice, check_number
 from aoabench.maths.directional import flipped_azimuth_std, flipped_elevation_moments
 from aoabench.maths.geometry import Array, in_frames, rotations_for, to_azel, wrap
 from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
+from aoabench.roles import Calibration, Measurement, Noise
 from aoabench.types import Anchors, Batch
 
 _RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative on the pole axis, where it is undefined
 
 
 @dataclass(frozen=True)
-class AzEl:
+class AzEl(Measurement):
     """AE model with constant deviations: `sigma_deg` (0, 180], or null for what each measurement
     states itself.
     """
 
     sigma_deg: float | None = None
-    kernel: ClassVar[str] = "azel"
+    kernel = "azel"
 
     def __post_init__(self) -> None:
         check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Stated deviations, where it has none of its own."""
+        return frozenset({"stated_sigma"}) if self.sigma_deg is None else frozenset()
 
     def sigmas(self) -> tuple[float, float] | None:
         """Deviations (azimuth, elevation) in rad, or None for the measurements' own."""
@@ -56,7 +61,7 @@ class AzEl:
 
     def predict(self, x: Array, anchors: Anchors) -> Array:
         """Azimuths and elevations (R, ..., 2B) rad of positions x (R, ..., n)."""
-        return interleave(to_azel(*in_frames(x[..., :3], anchors.position, anchors.rotation)))
+        return interleave(to_azel(*in_frames(x[..., :3], *anchors.frames)))
 
     def residual(self, y: Array, expected: Array) -> Array:
         """y - expected (..., 2B) rad, the azimuths wrapped into (-pi, pi]."""
@@ -66,14 +71,15 @@ class AzEl:
 
     def jacobian(self, x: Array, anchors: Anchors) -> Array:
         """Derivatives (R, ..., 2B, n) rad/m, with rho^2 kept above 1e-12 m^2 at the poles."""
-        px, py, pz = in_frames(x[..., :3], anchors.position, anchors.rotation)
+        position, rotation = anchors.frames
+        px, py, pz = in_frames(x[..., :3], position, rotation)
         rho2 = np.maximum(px * px + py * py, _RHO2_FLOOR)
         rho, r2 = np.sqrt(rho2), rho2 + pz * pz
         along = pz / (rho * r2)
         local = np.zeros((*px.shape, 2, 3))
         local[..., 0, 0], local[..., 0, 1] = -py / rho2, px / rho2
         local[..., 1, 0], local[..., 1, 1], local[..., 1, 2] = -px * along, -py * along, rho / r2
-        return into_state(local @ rotations_for(x, anchors.rotation), x.shape[-1])
+        return into_state(local @ rotations_for(x, rotation), x.shape[-1])
 
     def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
         """Variances (R, ..., 2B) rad^2: the nominal ones, whatever x."""
@@ -104,25 +110,36 @@ class AzElFitted(AzEl):
     """
 
     fit: str = "printed"
-    noise: Any = None
-    kernel: ClassVar[str] = "azel"
+    noise: Noise | None = None
+    kernel = "azel"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_choice("fit", self.fit, ("printed", "own"))
-        if not hasattr(self.noise, "fitted"):
-            raise BadValue(
-                "noise", type(self.noise).__name__, "an angular noise: ae_flip, ae_normal or vmf"
-            )
+        _calibration_of(self.noise)
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Nothing: the deviations are its own."""
+        return frozenset()
 
     def sigmas(self) -> tuple[float, float]:
         """Deviations (azimuth, elevation) in rad."""
         if self.sigma_deg is not None:
             return math.radians(self.sigma_deg), math.radians(self.sigma_deg)
-        printed = getattr(self.noise, "printed_fit_deg", None)
-        if self.fit == "printed" and printed and math.isclose(self.noise.sigma, math.radians(10)):
+        known = _calibration_of(self.noise)
+        printed = known.printed_fit_deg
+        if self.fit == "printed" and printed and math.isclose(known.sigma, math.radians(10)):
             return math.radians(printed[0]), math.radians(printed[1])
-        return self.noise.fitted()
+        return known.fitted()
+
+
+def _calibration_of(noise: Noise | None) -> Calibration:
+    """The calibration of a noise; BadValue where it has none."""
+    found = noise.calibration if isinstance(noise, Noise) else None
+    if found is None:
+        raise BadValue("noise", type(noise).__name__, "an angular noise: ae_flip, ae_normal or vmf")
+    return found
 
 
 @lru_cache(maxsize=32)
@@ -142,19 +159,23 @@ class AzElAdaptive(AzEl):
     steps.
     """
 
-    noise: Any = None
-    kernel: ClassVar[str] = "azel_adaptive"
+    noise: Noise | None = None
+    kernel = "azel_adaptive"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.sigma_deg is None and not hasattr(self.noise, "sigma"):
-            raise BadValue(
-                "noise", type(self.noise).__name__, "an angular noise: ae_flip, ae_normal or vmf"
-            )
+        self.nominal()
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Nothing: the deviations are its own."""
+        return frozenset()
 
     def nominal(self) -> float:
         """The deviation in rad that the table is made for."""
-        return float(self.noise.sigma) if self.sigma_deg is None else math.radians(self.sigma_deg)
+        if self.sigma_deg is not None:
+            return math.radians(self.sigma_deg)
+        return float(_calibration_of(self.noise).sigma)
 
     def sigmas(self) -> tuple[float, float]:
         """Nominal deviations (azimuth, elevation) in rad; `covariance` replaces them."""

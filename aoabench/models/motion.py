@@ -8,10 +8,11 @@ import numpy as np
 
 from aoabench.errors import check_number
 from aoabench.maths.geometry import Array
+from aoabench.roles import Motion
 
 
 @dataclass(frozen=True)
-class RandomWalk:
+class RandomWalk(Motion):
     """theta_k = theta_{k-1} + w, w ~ N(0, dt diag(q_xy^2, q_xy^2, q_z^2)) [Nurminen 2018, (13)]; q
     in m / s^(1/2).
     """
@@ -29,7 +30,7 @@ class RandomWalk:
 
 
 @dataclass(frozen=True)
-class ConstantAcceleration:
+class ConstantAcceleration(Motion):
     """s_k = F s_{k-1} + w, w ~ N(0, Q), of the state x, y, z, vx, vy, vz, ax, ay, az [Lu 2019,
     (15), (19)].
 

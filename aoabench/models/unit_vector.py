@@ -7,7 +7,6 @@ Components in anchor order: x, y, z of the unit vector in the frame of anchor 1,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,21 +14,27 @@ from aoabench.errors import BadValue, check_number
 from aoabench.maths.directional import kappa_from_sigma, vmf_log_peak
 from aoabench.maths.geometry import Array, in_frames, rotations_for, to_unit
 from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
+from aoabench.roles import Measurement
 from aoabench.types import Anchors, Batch
 
 
 @dataclass(frozen=True)
-class UnitVector:
+class UnitVector(Measurement):
     """u_j ~ VMF(R_j (theta - s_j) / |theta - s_j|, kappa) [Nurminen 2018, (5) with R_j, (9)].
 
     `kappa` > 0, or null for what each measurement's stated deviations give by (7).
     """
 
     kappa: float | None = None
-    kernel: ClassVar[str] = "unit_vector"
+    kernel = "unit_vector"
 
     def __post_init__(self) -> None:
         check_number("kappa", self.kappa, above=0, most=1e15, optional=True)
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Elevations, and stated deviations where it has no kappa of its own."""
+        return frozenset({"elevation"} | ({"stated_sigma"} if self.kappa is None else set()))
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
         """Unit vectors (R, T, 3B) and their nominal variances 1 / kappa (R, T, 3B)."""
@@ -63,7 +68,7 @@ class UnitVector:
         """
         units, distance = _directions(x, anchors)
         c = np.stack(units, axis=-1)
-        R = rotations_for(x, anchors.rotation)
+        R = rotations_for(x, anchors.frames[1])
         d = (c[..., None, :] @ R)[..., 0, :]  # back in the global frame
         return into_state(
             (R - c[..., :, None] * d[..., None, :]) / distance[..., None, None], x.shape[-1]
@@ -83,6 +88,6 @@ class UnitVector:
 
 def _directions(x: Array, anchors: Anchors) -> tuple[tuple[Array, Array, Array], Array]:
     """Unit vectors' components (R, ..., B) in the anchors' frames; distances (R, ..., B) m."""
-    px, py, pz = in_frames(x[..., :3], anchors.position, anchors.rotation)
+    px, py, pz = in_frames(x[..., :3], *anchors.frames)
     distance = np.maximum(np.sqrt(px * px + py * py + pz * pz), 1e-12)
     return (px / distance, py / distance, pz / distance), distance

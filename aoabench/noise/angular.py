@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,11 +24,13 @@ from aoabench.maths.directional import (
     vmf_sample,
 )
 from aoabench.maths.geometry import Array, in_frames, to_azel, to_unit, wrap
+from aoabench.noise.mounting import MountedNoise
+from aoabench.roles import Calibration, Scenario
 from aoabench.types import Anchors, Measurements
 
 
 @dataclass(frozen=True)
-class _Angular:
+class _Angular(MountedNoise):
     """sigma_deg (0, 180] or kappa > 0, either derived from the other by kappa = 1 / sigma^2
     [Nurminen 2018, (7)].
 
@@ -38,8 +40,11 @@ class _Angular:
     sigma_deg: float | None = None
     kappa: float | None = None
     default_sigma_deg: float = 10.0
+    # fitted (azimuth, elevation) at sigma = 10 deg, where a paper prints them
+    printed_fit_deg: ClassVar[tuple[float, float] | None] = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
         check_number("kappa", self.kappa, above=0, optional=True)
         if self.sigma_deg is not None:  # what floating point and the tables can carry
@@ -72,19 +77,26 @@ class _Angular:
         """Noisy azimuth and elevation (...) rad of true ones (...) rad."""
         raise NotImplementedError
 
-    def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
+    def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """Measurements (T, B) of true states (T, n), seen from the scenario's anchors."""
-        anchors = scenario.known_anchors
-        azimuth, elevation = (
-            a[0]
-            for a in to_azel(*in_frames(truth[None, :, :3], anchors.position, anchors.rotation))
-        )
+        anchors, points = scenario.true_anchors, truth[:, :3]
+        local = in_frames(points[None], anchors.position, anchors.rotation)
+        azimuth, elevation = (a[0] for a in to_azel(*local))
         azimuth, elevation = self.perturb(rng, azimuth, elevation)
         quality = np.full(azimuth.shape, self.sigma)
-        if hasattr(scenario, "reported"):
-            silent = ~scenario.reported(truth[:, :3])
-            azimuth, elevation = (np.where(silent, np.nan, a) for a in (azimuth, elevation))
+        heard = scenario.hears(points)
+        if heard is not None:
+            azimuth, elevation = (np.where(heard, a, np.nan) for a in (azimuth, elevation))
         return Measurements(azimuth, elevation, azimuth_sigma=quality, elevation_sigma=quality)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The nominal and the fitted deviations."""
+        return Calibration(self.sigma, self.fitted, self.printed_fit_deg)
+
+    def offers(self) -> frozenset[str]:
+        """Elevations, and the deviations of both angles."""
+        return frozenset({"elevation", "stated_sigma"})
 
     def fitted(self) -> tuple[float, float]:
         """Root mean square residuals (azimuth, elevation) in rad over uniformly distributed
@@ -146,10 +158,7 @@ class FlippedAngles(_Angular):
     representation.
     """
 
-    printed_fit_deg: ClassVar = (
-        18.0,
-        10.0,
-    )  # fitted (azimuth, elevation) at sigma = 10 deg [Nurminen 2018, Table I]
+    printed_fit_deg: ClassVar = (18.0, 10.0)  # [Nurminen 2018, Table I]
 
     def perturb(
         self, rng: np.random.Generator, azimuth: Array, elevation: Array

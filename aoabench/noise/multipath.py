@@ -23,20 +23,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from aoabench.errors import BadValue, check_array, check_number
 from aoabench.maths.directional import flip
 from aoabench.maths.geometry import Array, to_azel
+from aoabench.noise.mounting import MountedNoise
+from aoabench.roles import Scenario
 from aoabench.types import Measurements
 
 _WAVES = 32  # plane waves that make up a field
 
 
 @dataclass(frozen=True)
-class BleMultipath:
+class BleMultipath(MountedNoise):
     """What each parameter means stands beside it in configs/noise/ble_multipath.yaml; angles in
     deg, lengths in m.
     """
@@ -64,6 +65,7 @@ class BleMultipath:
     fading_db: float = 4.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for key in ("azimuth_noise_deg", "elevation_noise_deg", "correlation_m"):
             check_number(key, getattr(self, key), above=0)
         for key in (
@@ -97,17 +99,20 @@ class BleMultipath:
                 "disturbed", list(self.disturbed), "a list of shares from 0 to 1, one for each day"
             )
 
-    def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
+    def offers(self) -> frozenset[str]:
+        """Elevations, signal strengths and the deviations of the angles."""
+        return frozenset({"elevation", "rssi", "stated_sigma"})
+
+    def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """Azimuth, elevation (T, B) rad and rssi (T, B) dBm of true states (T, n).
 
-        The scenario's `days_of` says which day a step is of (all of one, if it says nothing). Days
+        The scenario's `day_of` says which day a step belongs to. Days
         beyond the list of `disturbed`, and anchors beyond those of `bias_scale` and `pull`, take
         the last one's.
         """
         point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
-        anchors, seat = scenario.known_anchors, seat.ravel()
-        day = np.asarray(getattr(scenario, "days_of", np.zeros(len(truth), dtype=int)))
-        T, B, D = len(truth), anchors.position.shape[1], int(day.max()) + 1
+        anchors, seat, day = scenario.true_anchors, seat.ravel(), scenario.day_of(len(truth))
+        T, B, D = len(truth), anchors.count, int(day.max()) + 1
         # the campaign's channel: every draw is made whatever the parameters are, so that two
         # settings are paired
         bias = np.deg2rad([self.azimuth_bias_deg, self.elevation_bias_deg]) * self._fields(
@@ -132,17 +137,17 @@ class BleMultipath:
         noise, laplace = rng.standard_normal((2, T, B)), rng.laplace(size=(2, T, B))
         outlier, lost = rng.random((T, B)) < self.outliers, rng.random((T, B)) < self.lost
         fading = rng.standard_normal((T, B))
-        if hasattr(scenario, "reported"):
-            lost |= ~scenario.reported(truth[:, :3])
+        heard = scenario.hears(truth[:, :3])
+        lost |= False if heard is None else ~heard
 
         seen = [
-            x - anchors.position[0] for x in (point[:, None], self._images(scenario, point, walls))
+            x - anchors.frames[0][0] for x in (point[:, None], self._images(scenario, point, walls))
         ]
         distance = np.linalg.norm(seen[0], axis=-1)
         to_node, to_image = (
             np.einsum(
                 "bij,pbj->pbi",
-                anchors.rotation[0],
+                anchors.frames[1][0],
                 v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9),
             )
             for v in seen
@@ -181,16 +186,16 @@ class BleMultipath:
             axis=(-2, -1)
         )
 
-    def _images(self, scenario: Any, point: Array, walls: Array) -> Array:
+    def _images(self, scenario: Scenario, point: Array, walls: Array) -> Array:
         """Mirror images (P, B, 3) m of points (P, 3) m, each in the wall whose field (P, B, 4) is
         the largest.
 
         The walls are the sides of the scenario's `bounds_m`, or of the box around its points and
         anchors.
         """
-        everything = np.concatenate([point[:, :2], scenario.known_anchors.position[0, :, :2]])
-        bounds = getattr(scenario, "bounds_m", None)
-        low, high = (everything.min(axis=0), everything.max(axis=0)) if bounds is None else bounds
+        everything = np.concatenate([point[:, :2], scenario.true_anchors.frames[0][0, :, :2]])
+        box = (everything.min(axis=0), everything.max(axis=0))
+        low, high = box if scenario.bounds_m is None else np.asarray(scenario.bounds_m)
         mirror = np.broadcast_to(point[:, None, None], (*walls.shape, 3)).copy()
         for i, (axis, side) in enumerate(((0, low[0]), (0, high[0]), (1, low[1]), (1, high[1]))):
             mirror[:, :, i, axis] = 2 * side - mirror[:, :, i, axis]

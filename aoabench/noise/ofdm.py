@@ -17,12 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from aoabench.errors import BadValue, check_choice, check_number
 from aoabench.maths.geometry import LIGHT, Array, in_frames, to_azel, wrap
+from aoabench.noise.mounting import MountedNoise
+from aoabench.roles import Scenario
 from aoabench.types import Anchors, Measurements
 
 PRINTED = ("gain",)  # errata that can be run as printed
@@ -30,7 +31,7 @@ NEAREST = 1.0  # m; the path loss model does not know anything nearer
 
 
 @dataclass(frozen=True)
-class OfdmCrlb:
+class OfdmCrlb(MountedNoise):
     """What access nodes (ANs) measure of a robot's pilots, and how well they are known themselves.
 
     An AN's frame has its array's broadside as x and up as z. `an_sigma_m` is the deviation of the
@@ -56,6 +57,7 @@ class OfdmCrlb:
     as_printed: Sequence[str] = ()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for key in ("carrier_ghz", "subcarrier_khz", "an_beta"):
             check_number(key, getattr(self, key), above=0, most=1e6)
         check_number("subcarriers", self.subcarriers, least=2, most=10_000_000, integer=True)
@@ -103,22 +105,25 @@ class OfdmCrlb:
         L = self.elements
         return np.sqrt(6.0 / (L * (L**2 - 1) * snr)) / (math.pi * cosine)
 
+    def offers(self) -> frozenset[str]:
+        """Elevations, times of arrival, signal strengths and all deviations."""
+        return frozenset({"elevation", "delay", "rssi", "stated_sigma"})
+
     # --- one replication --------------------------------------------------------------------------
 
-    def sample(self, rng: np.random.Generator, scenario: Any, truth: Array) -> Measurements:
+    def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """Measurements (T, B) of true states (T, n) by the ANs that the scenario lets report, NaN
         elsewhere.
         """
-        anchors, points = scenario.known_anchors, truth[:, :3]
-        shape = (len(points), anchors.position.shape[1])
-        reported = (
-            scenario.reported(points)
-            if hasattr(scenario, "reported")
-            else np.ones(shape, dtype=bool)
+        anchors, points = scenario.true_anchors, truth[:, :3]
+        shape = (len(points), anchors.count)
+        heard = scenario.hears(points)
+        step, b = np.nonzero(np.ones(shape, dtype=bool) if heard is None else heard)
+        position, rotation = (
+            np.broadcast_to(a[0], (*shape, *a.shape[3:]))[step, b][:, None]
+            for a in (anchors.position, anchors.rotation)
         )
-        step, b = np.nonzero(reported)
-        one = Anchors(anchors.position[0, b][:, None], anchors.rotation[0, b][:, None])
-        local = (a[:, 0] for a in in_frames(points[step], one.position, one.rotation))
+        local = (a[:, 0] for a in in_frames(points[step], position, rotation))
         x, y, z = local
         distance = np.sqrt(x * x + y * y + z * z)
         azimuth, elevation = to_azel(x, y, z)
@@ -151,16 +156,17 @@ class OfdmCrlb:
                 e[k] = keep[k - 1] * e[k - 1] + fresh[k - 1] * e[k]
         return self.shadowing_db * e
 
-    def known_anchors(self, rng: np.random.Generator, scenario: Any) -> Anchors:
-        """The ANs as the filters know them, (1, B, ...): the true ones with this replication's
+    def known_anchors(self, rng: np.random.Generator, scenario: Scenario) -> Anchors:
+        """The ANs as the filters know them, (1, 1, B, ...): the true ones with this replication's
         errors [(9), (10)].
         """
-        true: Anchors = scenario.known_anchors
+        true = scenario.true_anchors
         deviation = self.an_sigma_m * np.array([1.0, 1.0, 1.0 / self.an_beta])
-        shape = true.position.shape if self.an_error == "independent" else (1, 1, 3)
+        shape = (1, true.count, 3) if self.an_error == "independent" else (1, 1, 3)
         error = deviation * rng.standard_normal(shape)
-        return replace(
+        known = replace(
             true,
             position=true.position + error,
             position_sigma=np.broadcast_to(deviation, true.position.shape),
         )
+        return self.mounted(rng, known)

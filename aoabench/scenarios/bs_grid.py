@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
 from aoabench.errors import UserError, check_array, check_choice, check_number
 from aoabench.maths.geometry import Array
+from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.types import Anchors
 
@@ -19,7 +19,7 @@ ZONES = ("strip", "disc", "ring", "none")
 
 
 @dataclass(frozen=True)
-class BsGrid:
+class BsGrid(Scenario):
     """`positions` points, uniform over the box from 0 to `size_m`, the same in every replication.
 
     `zone` keeps them from the base stations: `strip` wants |x - x_i| and |y - y_i| of at least
@@ -36,7 +36,7 @@ class BsGrid:
     clearance_m: float = 20.0
     dt: float = 1.0
     motion: None = None
-    same_truth: ClassVar[bool] = True  # the positions belong to the seed, not to the replication
+    shares_positions = True  # the positions belong to the seed, not to the replication
 
     def __post_init__(self) -> None:
         check_number("positions", self.positions, least=1, most=1_000_000, integer=True)
@@ -46,13 +46,13 @@ class BsGrid:
         check_number("clearance_m", self.clearance_m, least=0, most=1e6)
 
     @cached_property
-    def known_anchors(self) -> Anchors:
-        """The base stations; estimators know them exactly."""
+    def true_anchors(self) -> Anchors:
+        """The base stations as they are."""
         return self.anchors.known
 
     def truth(self, rng: np.random.Generator) -> Array:
         """Positions (T, 3) m. Raises UserError where the zone leaves (almost) no room."""
-        size, stations = np.array(self.size_m), self.known_anchors.position[0]
+        size, stations = np.array(self.size_m), self.true_anchors.position[0, 0]
         if self.zone == "ring":
             around = stations[rng.integers(len(stations), size=self.positions)]
             turn = rng.uniform(0, 2 * np.pi, self.positions)
@@ -76,14 +76,10 @@ class BsGrid:
 
     def allowed(self, points: Array) -> np.ndarray:
         """Which of the points (N, 3) m the zone admits (N,)."""
-        d = np.abs(points[:, None, :2] - self.known_anchors.position[0, None, :, :2])
+        d = np.abs(points[:, None, :2] - self.true_anchors.position[0, 0, None, :, :2])
         far = {"strip": d.min(axis=-1), "disc": np.hypot(d[..., 0], d[..., 1])}
         return (
             (far[self.zone] >= self.clearance_m).all(axis=1)
             if self.zone in far
             else np.ones(len(points), dtype=bool)
         )
-
-    def prior(self, rng: np.random.Generator, truth: Array) -> None:
-        """There is none."""
-        return None

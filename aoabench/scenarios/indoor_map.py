@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from aoabench.devices import plan
 from aoabench.errors import BadValue, check_array, check_choice, check_number
 from aoabench.maths.geometry import Array
 from aoabench.models.motion import ConstantAcceleration
+from aoabench.roles import Motion, Scenario
 from aoabench.scenarios.route import RoundedRoute
 from aoabench.types import Anchors
 
@@ -23,7 +24,7 @@ MOST_STEPS = 1_000_000
 
 
 @dataclass(frozen=True)
-class IndoorMap:
+class IndoorMap(Scenario):
     """One trial: the route once, at constant horizontal speed, its corners rounded to arcs, its
     height linear.
 
@@ -38,8 +39,8 @@ class IndoorMap:
     name: str
     anchors: str
     route: Sequence[Sequence[float]]
-    motion: ConstantAcceleration
-    walls: str | None
+    motion: ConstantAcceleration = field()
+    walls: str | None = field()
     corner_radius_m: float = 2.0
     speed_m_s: float = 1.1
     height_m: tuple[float, float] = (1.0, 2.0)
@@ -65,15 +66,14 @@ class IndoorMap:
         check_choice("truth_from", self.truth_from, ("route", "model"))
         if self.truth_from == "route" and self.steps is not None:
             raise BadValue("steps", self.steps, "null with truth_from=route, whose length decides")
-        matrices = getattr(self.motion, "matrices", None)
-        if matrices is None or np.shape(matrices(self.dt)[0]) != (9, 9):
+        if not isinstance(self.motion, Motion) or len(self.motion.matrices(self.dt)[0]) != 9:
             raise BadValue(
                 "motion", self.motion, "a model of position, velocity and acceleration (9 numbers)"
             )
         _ = (
             self._path,
-            self.known_anchors,
-            self.segments,
+            self.true_anchors,
+            self.wall_segments,
         )  # reads the files: what is wrong with them is said now
         if not 1 <= self.route_steps <= MOST_STEPS:
             allowed = (
@@ -92,7 +92,7 @@ class IndoorMap:
         )
 
     @cached_property
-    def known_anchors(self) -> Anchors:
+    def true_anchors(self) -> Anchors:
         """The ANs (1, B, ...); local x looks along the array's broadside, y horizontally left of
         it, z up.
         """
@@ -103,7 +103,7 @@ class IndoorMap:
         return (None, None) if self.walls is None else plan.read_walls("walls", self.files[1])
 
     @property
-    def segments(self) -> Array | None:
+    def wall_segments(self) -> Array | None:
         """Walls (W, 2, 2) m, or None."""
         return self._walls[0]
 
@@ -118,7 +118,7 @@ class IndoorMap:
         """
         return self._route_sight if self._is_route(points) else self._sight(points)
 
-    def reported(self, points: Array) -> np.ndarray:
+    def hears(self, points: Array) -> np.ndarray:
         """Which ANs report of a target at each point (N, 3) m (N, B): of those in line of sight the
         nearest.
         """
@@ -129,7 +129,7 @@ class IndoorMap:
         )
 
     def _sight(self, points: Array) -> np.ndarray:
-        return plan.in_sight(points, self.known_anchors.position[0], self.segments)
+        return plan.in_sight(points, self.true_anchors.position[0, 0], self.wall_segments)
 
     def _nearest(self, points: Array, seen: np.ndarray) -> np.ndarray:
         """`seen` (N, B) without all but the nearest; of equally near ones the first in the file."""
@@ -137,7 +137,7 @@ class IndoorMap:
         if self.nearest is None or self.nearest >= B:
             return seen
         squared = sum(
-            (points[:, None, i] - self.known_anchors.position[:, :, i]) ** 2 for i in range(3)
+            (points[:, None, i] - self.true_anchors.position[0, :, :, i]) ** 2 for i in range(3)
         )
         order = np.argsort(np.where(seen, squared, np.inf), axis=1, kind="stable")[
             :, : self.nearest

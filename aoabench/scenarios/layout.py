@@ -41,7 +41,7 @@ class AnchorLayout:
 
     @property
     def known(self) -> Anchors:
-        """Positions (1, B, 3) m and rotations (1, B, 3, 3)."""
+        """The anchors (1, 1, B, ...)."""
         position = np.array(self.position_m, dtype=float)
         R = (
             np.broadcast_to(np.eye(3), (len(position), 3, 3))
@@ -50,4 +50,4 @@ class AnchorLayout:
         )
         if any(self.frame_rpy_deg):
             R = euler(np.deg2rad(self.frame_rpy_deg)) @ R
-        return Anchors(position[None], np.array(R)[None])
+        return Anchors(position, np.array(R))

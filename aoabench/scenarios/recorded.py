@@ -15,13 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from aoabench.devices.longtable import Table, header, read_anchors
 from aoabench.errors import BadValue, check_array, check_choice, check_number, did_you_mean
 from aoabench.maths.geometry import Array, wrap
+from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.types import Anchors, Measurements
 
@@ -67,7 +68,7 @@ class Log(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Recorded:
+class Recorded(Scenario):
     """One recording, whose parameters configs/scenario/recorded.yaml explains: T fixes in order of
     their times, or of their first appearance where the file numbers them. Nothing is drawn: there
     is one replication, no motion, no prior.
@@ -94,10 +95,10 @@ class Recorded:
     heading_deg: float | None = None
     height_m: float | None = None
     bounds_m: Sequence[Sequence[float]] | None = None
-    dt: ClassVar[float] = 1.0
-    motion: ClassVar[None] = None
-    same_truth: ClassVar[bool] = True
-    replications: ClassVar[int] = 1
+    dt = 1.0
+    motion = None
+    shares_positions = True
+    replications = 1
 
     def __post_init__(self) -> None:
         choices = {
@@ -167,8 +168,13 @@ class Recorded:
         """Lines about what was found in the files."""
         return self._log.notes
 
+    @property
+    def known_height_m(self) -> float | None:
+        """`height_m`, or the one height that all true positions have."""
+        return self.height_m
+
     @cached_property
-    def known_anchors(self) -> Anchors:
+    def true_anchors(self) -> Anchors:
         """The anchors (1, B, ...); their axes are the global ones where the angles are."""
         anchors = self._anchors[1]
         own = self.frame == "own" and self.measured_by == "anchor"
@@ -181,10 +187,6 @@ class Recorded:
     def truth(self, rng: np.random.Generator) -> Array:
         """Positions (T, 3) m, NaN where they are not known."""
         return self._log.truth
-
-    def prior(self, rng: np.random.Generator, truth: Array) -> None:
-        """There is none."""
-        return None
 
     @cached_property
     def _anchors(self) -> tuple[list[str], Anchors]:

@@ -7,18 +7,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
 from aoabench.errors import UserError, check_array, check_number
 from aoabench.maths.geometry import Array
+from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.types import Anchors
 
 
 @dataclass(frozen=True)
-class Room:
+class Room(Scenario):
     """A box from 0 to `size_m` with `points_m` (N, 2), each visited for `packets` packets,
     `height_m` above the floor.
 
@@ -36,7 +36,7 @@ class Room:
     days: int = 1
     dt: float = 0.1
     motion: None = None
-    same_truth: ClassVar[bool] = True
+    shares_positions = True
 
     def __post_init__(self) -> None:
         size = check_array("size_m", self.size_m, (3,))
@@ -54,8 +54,8 @@ class Room:
         check_number("dt", self.dt, above=0)
 
     @cached_property
-    def known_anchors(self) -> Anchors:
-        """The anchors; estimators know them exactly."""
+    def true_anchors(self) -> Anchors:
+        """The anchors as they are."""
         return self.anchors.known
 
     @property
@@ -63,16 +63,16 @@ class Room:
         """Lower and upper corner (2, 2) m of where the node can be."""
         return np.array([[0.0, 0.0], self.size_m[:2]])
 
-    @cached_property
-    def days_of(self) -> np.ndarray:
-        """Which day each packet (T,) is of."""
+    @property
+    def known_height_m(self) -> float:
+        """The height of the node above the floor."""
+        return self.height_m
+
+    def day_of(self, steps: int) -> np.ndarray:
+        """The number (T,) of the day that each packet belongs to, from 0."""
         return np.tile(np.arange(self.packets) * self.days // self.packets, len(self.points_m))
 
     def truth(self, rng: np.random.Generator) -> Array:
         """Positions (T, 3) m."""
         points = np.repeat(np.array(self.points_m, dtype=float), self.packets, axis=0)
         return np.concatenate([points, np.full((len(points), 1), self.height_m)], axis=1)
-
-    def prior(self, rng: np.random.Generator, truth: Array) -> None:
-        """There is none."""
-        return None

@@ -4,7 +4,7 @@ IV-D].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import gamma
 
@@ -13,12 +13,13 @@ import numpy as np
 from aoabench.errors import check_number
 from aoabench.maths.geometry import Array
 from aoabench.models.motion import RandomWalk
+from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.types import Anchors
 
 
 @dataclass(frozen=True)
-class SquareTrack:
+class SquareTrack(Scenario):
     """A target on a square of side `side_m` from (0, 0) counter-clockwise at height 0.
 
     Per step of `dt` s it travels l ~ N(q sqrt(2 dt) Gamma(1.5), 2 q^2 dt (1 - Gamma(1.5)^2)) m, q =
@@ -28,7 +29,7 @@ class SquareTrack:
 
     name: str
     anchors: AnchorLayout
-    motion: RandomWalk
+    motion: RandomWalk = field()
     side_m: float = 5.0
     steps: int = 64
     dt: float = 0.25
@@ -43,8 +44,8 @@ class SquareTrack:
         check_number("prior_sigma_m", self.prior_sigma_m, least=1e-6, most=1e6)
 
     @cached_property
-    def known_anchors(self) -> Anchors:
-        """The anchors as estimators know them; here they are the true ones."""
+    def true_anchors(self) -> Anchors:
+        """The anchors as they are."""
         return self.anchors.known
 
     def step_length(self) -> tuple[float, float]:

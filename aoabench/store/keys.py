@@ -50,11 +50,7 @@ def draws_key(cell: Any) -> str:
             "scenario": cell.config["scenario"],
             "noise": cell.config["noise"],
             "seed": cell.seed,
-            "files": [
-                file_checksum(path)
-                for o in (cell.scenario, cell.noise)
-                for path in getattr(o, "files", ())
-            ],
+            "files": [file_checksum(path) for o in (cell.scenario, cell.noise) for path in o.files],
             "source": source_hash(
                 {"aoabench.engine.block", *_modules([cell.scenario, cell.noise])}, cell.plugins
             ),

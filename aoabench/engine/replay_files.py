@@ -1,0 +1,81 @@
+"""A replayed replication as files: its trace, a picture, and what was measured as a log."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from aoabench.devices import longtable
+from aoabench.engine.replay import Replay
+from aoabench.report import plots, trace
+from aoabench.store.files import provenance, schema, write_atomically, write_table
+
+
+def write(replay: Replay, export: str | None = None) -> str:
+    """Write <run>/replay/<cell>-<estimator>-<replication>.parquet and its picture (.png), and
+    return lines that say so.
+
+    `export`, csv or parquet, also writes what was measured, as scenario=recorded reads it.
+    """
+    name = re.sub(r"[^\w.-]|^\.", "_", replay.estimator)  # nothing that leads out of the folder
+    stem = f"{replay.record['cell']}-{name}-{replay.replication}"
+    path = replay.run / "replay" / f"{stem}.parquet"
+    special = {"step": "int64", "outcome": "string"}
+    kinds = {column: special.get(column, "double") for column in replay.columns}
+    write_table(path, replay.columns, schema(kinds, provenance(replay.record["config"])))
+    lines = [_summary(replay), *([replay.error] if replay.error else []), f"trace: {path}"]
+    lines.append(f"picture: {_picture(replay, path)}")
+    return "\n".join([*lines, *([_exported(replay, path, export)] if export else [])])
+
+
+def _summary(replay: Replay) -> str:
+    same = (
+        "as stored"
+        if replay.as_stored
+        else f"stored is {replay.stored_m:.17g}: code or libraries have changed since"
+    )
+    return (
+        f"cell {replay.record['cell']}, {replay.estimator}, replication {replay.replication}: "
+        f"rmse_3d_m = {replay.rmse_3d_m:.17g} ({same})"
+    )
+
+
+def _picture(replay: Replay, path: Path) -> Path:
+    record, scenario = replay.record, replay.scenario
+    title = (
+        f"{record['scenario']}, {record['noise']}: {replay.estimator}, "
+        f"replication {replay.replication}, RMSE {replay.rmse_3d_m:.3g} m"
+    )
+    anchors = scenario.true_anchors.position[0, 0]
+    frame = pd.read_parquet(path)
+
+    def draw() -> Any:
+        moving = scenario.motion is not None
+        return trace.figure(frame, title, anchors, scenario.wall_segments, moving)
+
+    return plots.save(draw, path.with_suffix(".png"))
+
+
+def _exported(replay: Replay, path: Path, kind: str) -> str:
+    """Write <path>-measurements.<kind> and <path>-anchors.csv; return the command that reads them."""
+    measurements, known = longtable.as_tables(replay.batch, replay.truth[0])
+    log, anchors = (
+        path.with_name(f"{path.stem}-{what}") for what in (f"measurements.{kind}", "anchors.csv")
+    )
+    save = measurements.to_csv if kind == "csv" else measurements.to_parquet
+    write_atomically(log, lambda temporary: save(temporary, index=False))
+    write_atomically(anchors, lambda temporary: known.to_csv(temporary, index=False))
+    words = [f"""'scenario.path="{log}"' 'scenario.anchors="{anchors}"'"""]
+    height, bounds = replay.scenario.known_height_m, replay.scenario.bounds_m
+    if height is not None:
+        words.append(f"scenario.height_m={height}")
+    if bounds is not None:
+        words.append(f"'scenario.bounds_m={np.asarray(bounds).tolist()}'".replace(" ", ""))
+    if np.nanmax(np.abs(replay.batch.elevation), initial=0.0) > np.pi / 2:
+        words.append("scenario.elevation_limit_deg=180")
+    last = f"'estimator=[{replay.estimator}]'"
+    return f"read it back: aoabench run scenario=recorded {' '.join(words)} {last}"

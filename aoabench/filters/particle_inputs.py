@@ -1,0 +1,116 @@
+"""What the particle filter's kernel is given: its normals, and measurements as coefficients."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from aoabench.filters.compiled import KINDS
+from aoabench.maths.geometry import Array
+from aoabench.roles import Measurement
+from aoabench.types import Anchors
+
+SHARED_BYTES = 2**26  # the normals of one replication are kept for the next filter up to this size
+
+
+class _Shared(threading.local):
+    """The normals that this thread drew last; the filters of one replication ask for the same ones
+    in turn.
+    """
+
+    key: tuple[Any, ...] = ()
+    memory = np.empty(0, dtype=np.float32)
+
+
+_shared = _Shared()
+
+
+def shared_normals(
+    compiled: ModuleType, key: tuple[int, int], replication: int, planes: int, particles: int
+) -> Any:
+    """Standard normals (planes, 3, M), float32, of one replication, M = `particles` rounded up to
+    whole tiles.
+
+    Where they would take too much memory, (1, 3, M) for the kernel to draw them into, step by step.
+    """
+    M = -(-particles // compiled.TILE) * compiled.TILE
+    kept = 12 * planes * M <= SHARED_BYTES
+    shape = (planes if kept else 1, 3, M)
+    size = shape[0] * 3 * M
+    if len(_shared.memory) < size:
+        _shared.memory, _shared.key = np.empty(size, dtype=np.float32), ()
+    noise = _shared.memory[:size].reshape(shape)
+    wanted = (key, replication, shape)
+    if kept and _shared.key != wanted:
+        _shared.key = ()
+        for plane in range(planes):
+            compiled.normals(noise[plane], plane, replication, *key)
+        _shared.key = wanted
+    elif not kept:
+        _shared.key = ()
+    return noise
+
+
+@dataclass
+class KernelDraws:
+    """The kernel's draws in the order in which the reference asks for them."""
+
+    compiled: ModuleType
+    key: tuple[int, int]
+    replication: int
+    normals: int = 0
+    turns: int = 0
+
+    def standard_normal(self, shape: tuple[int, int]) -> Array:
+        """The next plane of normals, (N, 3)."""
+        plane = np.empty(
+            (3, -(-shape[0] // self.compiled.TILE) * self.compiled.TILE), dtype=np.float32
+        )
+        self.compiled.normals(plane, self.normals, self.replication, *self.key)
+        self.normals += 1
+        return plane[:, : shape[0]].T.astype(float)
+
+    def random(self) -> float:
+        """The next step's uniform number."""
+        self.turns += 1
+        return self.compiled.turn(self.turns, self.replication, *self.key)
+
+
+def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) -> np.ndarray:
+    """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal
+    variances (T, m).
+
+    See `kernels.particle.loglik`; what is not measured (NaN) gets the weight 0.
+    """
+    s, R = anchors.frames[0][0] - origin, anchors.frames[1][0]
+    B = len(s)
+    y, r = Y.reshape(len(Y), B, -1), quality.reshape(len(Y), B, -1)
+    c = np.zeros((len(Y), B, 15))
+    c[..., :3] = s
+    known = ~np.isnan(y)
+    y = np.where(known, y, 0.0)
+    if kind == KINDS.index("unit_vector"):
+        c[..., 3:6] = (y[..., None, :] @ R)[..., 0, :]
+        c[..., 6] = np.where(known.all(-1), 0.5 / r[..., 0], 0.0)
+        return c.astype(np.float32)
+    cosine, sine = np.cos(y[..., :1]), np.sin(y[..., :1])
+    c[..., 3:6] = cosine * R[:, 0] + sine * R[:, 1]
+    c[..., 6:9] = cosine * R[:, 1] - sine * R[:, 0]
+    c[..., 9:12] = R[:, 2]
+    c[..., 12] = y[..., 1]
+    c[..., 13:15] = known * (0.5 / r if kind == KINDS.index("azel") else 1.0)
+    return c.astype(np.float32)
+
+
+def weights_table(measurement: Measurement) -> np.ndarray:
+    """w = 1 / (2 variance) and then log(w) / 2, each of azimuth and elevation in turn, at -90, -89
+    ... 90 degrees.
+
+    (724,) float32.
+    """
+    w = (0.5 / measurement.variances()).ravel()
+    return np.concatenate([w, 0.5 * np.log(w)]).astype(np.float32)

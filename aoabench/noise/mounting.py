@@ -1,0 +1,47 @@
+"""Anchors that are mounted in another orientation than is known."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass, replace
+
+import numpy as np
+
+from aoabench.errors import check_number
+from aoabench.maths.geometry import euler
+from aoabench.roles import Noise, Scenario
+from aoabench.types import Anchors
+
+
+@dataclass(frozen=True)
+class MountedNoise(Noise):
+    """A noise whose anchors may be mounted wrongly.
+
+    mounting_yaw_deg, mounting_pitch_deg and mounting_roll_deg are the standard deviations of the
+    angles by which the known orientation of an anchor is off, drawn once per replication for each
+    anchor: yaw about its z axis, then pitch about its y axis, then roll about its x axis.
+    """
+
+    _: KW_ONLY
+    mounting_yaw_deg: float = 0.0
+    mounting_pitch_deg: float = 0.0
+    mounting_roll_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for axis in ("yaw", "pitch", "roll"):
+            key = f"mounting_{axis}_deg"
+            check_number(key, getattr(self, key), least=0, most=180)
+
+    def known_anchors(self, rng: np.random.Generator, scenario: Scenario) -> Anchors:
+        """The true anchors (1, T|1, B, ...), their rotations with this replication's errors."""
+        return self.mounted(rng, scenario.true_anchors)
+
+    def mounted(self, rng: np.random.Generator, anchors: Anchors) -> Anchors:
+        """The anchors with errors of their rotations; without any, nothing is drawn."""
+        deviation = np.deg2rad(
+            [self.mounting_roll_deg, self.mounting_pitch_deg, self.mounting_yaw_deg]
+        )
+        if not deviation.any():
+            return anchors
+        angles = deviation * rng.standard_normal((anchors.count, 3))
+        turns = np.stack([euler(angle) for angle in angles])
+        return replace(anchors, rotation=np.swapaxes(turns, -1, -2) @ anchors.rotation)
