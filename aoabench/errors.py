@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, cast
 
 import numpy as np
 
@@ -100,3 +102,87 @@ def check_array(key: str, value: object, shape: tuple[int | None, ...]) -> Array
     if not fits or not np.all(np.isfinite(array)):
         raise BadValue(key, value, wanted)
     return array
+
+
+@dataclass(frozen=True)
+class Param:
+    """What a parameter means and may be; `check` says what a value must fulfil.
+
+    A number lies in (above, most] or [least, most]; a text is one of `choices`, a list of texts
+    holds only these; an array has `shape` (None: any length). `also`: further values that are
+    allowed whatever the rest says.
+    """
+
+    help: str
+    unit: str = ""
+    above: float = -math.inf
+    least: float = -math.inf
+    most: float = math.inf
+    choices: tuple[str, ...] = ()
+    shape: tuple[int | None, ...] = ()
+    also: tuple[object, ...] = ()
+
+    def check(self, key: str, value: object, kind: str) -> None:
+        """Raise BadValue unless `value` fits; `kind` is the annotation: float, int | None, ..."""
+        base, optional = kind.removesuffix(" | None"), kind.endswith(" | None")
+        if (value is None and optional) or any(value is one or value == one for one in self.also):
+            return
+        if base == "bool" and not isinstance(value, bool):
+            raise BadValue(key, value, "true or false" + (", or null" if optional else ""))
+        if base.split(" | ")[0] in ("float", "int"):
+            self._check_number(key, value, base.startswith("int"), optional)
+        elif self.shape:
+            check_array(key, value, self.shape)
+        elif base == "Sequence[str]":
+            if isinstance(value, str) or not isinstance(value, Sequence):
+                raise BadValue(key, value, f"a list of {', '.join(self.choices)}")
+            for one in value:
+                check_choice(key, one, self.choices)
+        elif base == "str":
+            check_choice(key, value, self.choices) if self.choices else check_text(key, value)
+
+    def _check_number(self, key: str, value: object, integer: bool, optional: bool) -> None:
+        limits = {"above": self.above, "least": self.least, "most": self.most}
+        try:
+            check_number(key, value, **limits, integer=integer, optional=optional)
+        except BadValue as error:
+            more = "".join(f", or {one}" for one in self.also)
+            raise BadValue(key, value, error.allowed + more) from None
+
+
+def check_text(key: str, value: object) -> None:
+    """Raise BadValue unless `value` is a text that is not empty."""
+    if not isinstance(value, str) or not value.strip():
+        raise BadValue(key, value, "a text")
+
+
+def param(
+    default: Any = MISSING,
+    help: str = "",
+    *,
+    unit: str = "",
+    above: float = -math.inf,
+    least: float = -math.inf,
+    most: float = math.inf,
+    choices: Sequence[str] = (),
+    shape: tuple[int | None, ...] = (),
+    also: tuple[object, ...] = (),
+) -> Any:
+    """A dataclass field with its meaning and its limits; without `default` it must be given.
+
+    `CheckedParams` checks the value by the field's annotation and these limits.
+    """
+    known = Param(help, unit, above, least, most, tuple(choices), shape, also)
+    return field(default=default, metadata={"param": known})
+
+
+class CheckedParams:
+    """Checks the fields made by `param` when a dataclass is built; BadValue for what does not fit.
+
+    A class with checks of its own calls super().__post_init__() first.
+    """
+
+    def __post_init__(self) -> None:
+        for f in fields(cast(Any, self)):
+            if "param" in f.metadata:
+                f.metadata["param"].check(f.name, getattr(self, f.name), str(f.type))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aoabench.errors import BadValue, Unfit
+from aoabench.errors import BadValue, CheckedParams, Unfit
 from aoabench.maths.geometry import Array
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Measurements
@@ -34,7 +34,7 @@ NEEDS = {
 }
 
 
-class Motion:
+class Motion(CheckedParams):
     """A linear motion model x_k = F x_{k-1} + w, w ~ N(0, Q)."""
 
     def matrices(self, dt: float) -> tuple[Array, Array]:
@@ -42,7 +42,7 @@ class Motion:
         raise NotImplementedError
 
 
-class Scenario:
+class Scenario(CheckedParams):
     """Where the anchors are and how the target moves.
 
     name: keys the random streams. dt: s from step to step. motion: what filters believe of the
@@ -134,7 +134,7 @@ class Calibration:
     printed_fit_deg: tuple[float, float] | None = None
 
 
-class Noise:
+class Noise(CheckedParams):
     """How true geometry becomes measurements."""
 
     @property
@@ -164,7 +164,7 @@ class Noise:
         return None
 
 
-class Measurement:
+class Measurement(CheckedParams):
     """What a filter believes of the measurements; written for one point, broadcasting over leading
     axes.
 
@@ -211,7 +211,7 @@ class Measurement:
         return np.ones((181, 2))
 
 
-class Estimator:
+class Estimator(CheckedParams):
     """Positions from measurements: the one plug that recursive filters and snapshot estimators
     share.
 

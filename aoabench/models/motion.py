@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.errors import check_number
+from aoabench.errors import param
 from aoabench.maths.geometry import Array
 from aoabench.roles import Motion
 
@@ -17,12 +17,8 @@ class RandomWalk(Motion):
     in m / s^(1/2).
     """
 
-    q_xy: float = 0.5
-    q_z: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_number("q_xy", self.q_xy, least=1e-6, most=1e6)
-        check_number("q_z", self.q_z, least=1e-6, most=1e6)
+    q_xy: float = param(0.5, "of x and y", unit="m/s^(1/2)", least=1e-6, most=1e6)
+    q_z: float = param(0.1, "of z", unit="m/s^(1/2)", least=1e-6, most=1e6)
 
     def matrices(self, dt: float) -> tuple[Array, Array]:
         """F (3, 3) and Q (3, 3) m^2 for a step of dt s."""
@@ -38,10 +34,7 @@ class ConstantAcceleration(Motion):
     in each direction.
     """
 
-    q: float
-
-    def __post_init__(self) -> None:
-        check_number("q", self.q, above=0, most=1e6)
+    q: float = param(help="spectral density of the jerk", unit="m^2/s^5", above=0, most=1e6)
 
     def matrices(self, dt: float) -> tuple[Array, Array]:
         """F (9, 9) and Q (9, 9) for a step of dt s; positions in m, velocities in m/s,
