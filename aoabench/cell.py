@@ -10,7 +10,7 @@ from typing import Any
 
 from aoabench.columns import REPLICATIONS
 from aoabench.errors import BadValue, check_choice, check_number
-from aoabench.maths.digest import digest
+from aoabench.maths.digest import described, digest
 from aoabench.roles import Estimator, Noise, Scenario
 
 
@@ -124,16 +124,5 @@ class Cell:
         """Short name of the cell: scenario, noise, seed and changed parameters decide it;
         estimators join in.
         """
-        parts = [
-            self.config["scenario"],
-            self.config["noise"],
-            self.seed,
-            self.scenario_name,
-            self.noise_name,
-        ]
-        return digest([*parts, dict(self.changed)])[:12]
-
-    @property
-    def draws(self) -> str:
-        """Hash of the config that the simulated data come from."""
-        return digest([self.config["scenario"], self.config["noise"], self.seed])
+        parts = [described(self.scenario), described(self.noise), self.seed]
+        return digest([*parts, self.scenario_name, self.noise_name, dict(self.changed)])[:12]

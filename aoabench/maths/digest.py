@@ -1,14 +1,15 @@
-"""Hashes of plain values, and nested mappings as dotted keys."""
+"""Hashes of plain values and of dataclasses, and nested mappings as dotted keys."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+import uuid
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any
 
-if TYPE_CHECKING:
-    pass
+import numpy as np
 
 
 def digest(content: Any) -> str:
@@ -25,9 +26,50 @@ def _canonical(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
+def described(value: Any) -> Any:
+    """The content of an object as plain values: of a dataclass its public name and the fields that
+    differ from their defaults, so that a new field with a neutral default changes nothing.
+
+    What cannot be described becomes a text that is different each time.
+    """
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        content = hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest()
+        return [str(value.dtype), value.shape, content]
+    if isinstance(value, list | tuple):
+        return [described(v) for v in value]
+    if isinstance(value, dict):
+        return {str(k): described(v) for k, v in value.items()}
+    if not is_dataclass(value) or isinstance(value, type):
+        return uuid.uuid4().hex
+    found = {}
+    for f in fields(value):
+        own = described(getattr(value, f.name))
+        if f.init and (no_default(f) or digest(own) != digest(described(default_of(f)))):
+            found[f.name] = own
+    return [public_name(type(value)), found]
+
+
+def public_name(cls: type) -> str:
+    """The name of a class with the package of its kind, not its file: noise.VonMisesFisher."""
+    head, *rest = cls.__module__.split(".")
+    return f"{rest[0] if head == 'aoabench' and rest else head}.{cls.__qualname__}"
+
+
+def no_default(f: Any) -> bool:
+    """Whether a dataclass field must be given."""
+    return bool(f.default is MISSING and f.default_factory is MISSING)
+
+
+def default_of(f: Any) -> Any:
+    """The default of a dataclass field that has one."""
+    return f.default_factory() if f.default is MISSING else f.default
+
+
 def flatten(node: Any, prefix: str = "") -> Iterable[tuple[str, Any]]:
     """Dotted keys and leaves of nested mappings; lists are leaves."""
-    if isinstance(node, dict) and node:
+    if isinstance(node, Mapping) and node:
         for key, value in node.items():
             yield from flatten(value, f"{prefix}.{key}" if prefix else str(key))
     else:

@@ -19,11 +19,9 @@ from pathlib import Path
 from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
     pass
-from aoabench.maths.digest import digest
+from aoabench.maths.digest import described, digest
 from aoabench.resources import version
 from aoabench.store.files import file_checksum
 
@@ -38,7 +36,7 @@ def part_key(cell: Any, estimator: str, draws: str | None = None) -> str:
     )
     return digest({
         "draws": draws or draws_key(cell),
-        "estimator": _described(obj) if preset is None else preset,
+        "estimator": described(obj) if preset is None else preset,
         "source": source_hash(_modules([obj]), cell.plugins),
     })  # fmt: skip
 
@@ -79,37 +77,11 @@ def _modules(values: Iterable[Any]) -> set[str]:
         if isinstance(value, list | tuple):
             found |= _modules(value)
         elif is_dataclass(value) or callable(value):
-            found.add(
-                type(value).__module__ if not isinstance(value, FunctionType) else value.__module__
-            )
-            found |= (
-                _modules(getattr(value, f.name) for f in fields(value))
-                if is_dataclass(value)
-                else set()
-            )
+            owner = value if isinstance(value, FunctionType) else type(value)
+            found.add(owner.__module__)
+            inner = fields(value) if is_dataclass(value) else ()
+            found |= _modules(getattr(value, f.name) for f in inner)
     return found
-
-
-def _described(value: Any) -> Any:
-    """The content of an object as plain values; something unique, so that nothing is reused, where
-    it is unknown.
-    """
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    if isinstance(value, np.ndarray) and value.dtype != object:
-        return [
-            str(value.dtype),
-            value.shape,
-            hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest(),
-        ]
-    if isinstance(value, list | tuple):
-        return [_described(v) for v in value]
-    if isinstance(value, dict):
-        return {str(k): _described(v) for k, v in value.items()}
-    if is_dataclass(value) and not isinstance(value, type):
-        name = f"{type(value).__module__}.{type(value).__qualname__}"
-        return [name, {f.name: _described(getattr(value, f.name)) for f in fields(value)}]
-    return uuid.uuid4().hex
 
 
 def source_hash(roots: Iterable[str], plugins: Sequence[str] = ()) -> str:
