@@ -6,8 +6,8 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from aoabench.cell import Cell
 from aoabench.cli.common import Parser
 from aoabench.cli.show import print_run, print_worst
 from aoabench.errors import check_number
@@ -50,7 +50,7 @@ def run(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _draw_recording(out: Path, cell: Any) -> None:
+def _draw_recording(out: Path, cell: Cell) -> None:
     """Errors of a recording with ground truth as pictures."""
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
     import numpy as np

@@ -79,7 +79,8 @@ def as_estimator(obj: Any, path: str) -> Estimator:
         if need not in NEEDS:
             hint = did_you_mean(str(need), NEEDS)
             raise BadValue(f"{path}.needs", need, f"{', '.join(NEEDS)}{hint}")
-    return obj
+    found: Estimator = obj
+    return found
 
 
 def _wrapped(function: Any, path: str) -> Estimator:

@@ -156,36 +156,38 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
         raise bad(f"local coordinates in m; units is {content['units']!r}")
     walls, area = [np.empty((0, 2, 2))], None
     for number, feature in enumerate(features):
-        node = _mapping(feature)
-        geometry, kind = (
-            _mapping(node.get("geometry")),
-            _mapping(node.get("properties")).get("kind", "wall"),
-        )
-        form, nested = geometry.get("type"), geometry.get("coordinates")
-        if (kind, form) not in (
-            ("wall", "LineString"),
-            ("wall", "MultiLineString"),
-            ("visited", "Polygon"),
-        ):
-            raise bad(
-                "walls (kind wall) as LineString or MultiLineString, "
-                "the visited area (kind visited) as Polygon; "
-                f"feature {number} has the kind {kind!r} and the geometry {form!r}"
-            )
-        parts = [nested] if form == "LineString" else nested
-        lines = [_line(part) for part in parts] if isinstance(parts, list) else []
-        good = [line for line in lines if line is not None]
-        if not good or len(good) < len(lines):
-            raise bad(
-                "lines of at least two points [x, y] of finite numbers in m; "
-                f"feature {number} has others"
-            )
+        try:
+            kind, lines = _feature(feature)
+        except ValueError as error:
+            raise bad(f"{error}; feature {number} has others") from None
         if kind == "visited":
-            outside, *holes = (_enclosed(line) for line in good)
+            outside, *holes = (_enclosed(line) for line in lines)
             area = (area or 0.0) + outside - sum(holes)
         else:
-            walls += [np.stack([line[:-1], line[1:]], axis=1) for line in good]
+            walls += [np.stack([line[:-1], line[1:]], axis=1) for line in lines]
     return np.concatenate(walls), area
+
+
+def _feature(feature: Any) -> tuple[str, list[Array]]:
+    """The kind of a GeoJSON feature, and its lines, each (K, 2) m; ValueError for what it may not
+    hold.
+    """
+    node = _mapping(feature)
+    geometry = _mapping(node.get("geometry"))
+    kind = _mapping(node.get("properties")).get("kind", "wall")
+    form, nested = geometry.get("type"), geometry.get("coordinates")
+    known = {("wall", "LineString"), ("wall", "MultiLineString"), ("visited", "Polygon")}
+    if (kind, form) not in known:
+        raise ValueError(
+            "walls (kind wall) as LineString or MultiLineString, the visited area (kind visited) "
+            f"as Polygon, not the kind {kind!r} with the geometry {form!r}"
+        )
+    parts = [nested] if form == "LineString" else nested
+    lines = [_line(part) for part in parts] if isinstance(parts, list) else []
+    good = [line for line in lines if line is not None]
+    if not good or len(good) < len(lines):
+        raise ValueError("lines of at least two points [x, y] of finite numbers in m")
+    return kind, good
 
 
 def _mapping(node: Any) -> dict[str, Any]:

@@ -91,7 +91,7 @@ def places(truth: Array) -> np.ndarray:
 def distance(error: Array) -> Array:
     """Lengths (...) m of errors (..., 3) m; in the plane where z is NaN."""
     z = np.where(np.isnan(error[..., 2]), 0.0, error[..., 2])
-    return np.sqrt(error[..., 0] ** 2 + error[..., 1] ** 2 + z**2)
+    return np.asarray(np.sqrt(error[..., 0] ** 2 + error[..., 1] ** 2 + z**2))
 
 
 def root_mean_square(error: Array, accepted: np.ndarray) -> Array:

@@ -6,9 +6,9 @@ replication gives the same bits however the work is cut.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def _derived_tile(scenario: Scenario) -> int:
     """The largest power of two up to 128 for which an array (R, T, B) has at most 2^20 elements."""
     steps = len(scenario.truth(generator(0, scenario.name, 0, TRUTH)))
     most = max(_MOST_ELEMENTS // (steps * scenario.true_anchors.count), 1)
-    return min(2 ** (most.bit_length() - 1), 128)
+    return min(1 << (most.bit_length() - 1), 128)
 
 
 def simulate(
@@ -146,7 +146,8 @@ def call(
     streams = Streams(draws.seed, draws.scenario.name, replications)
     if "truth" not in estimator.needs:
         return estimator(batch, draws.scenario, streams)
-    return cast(Any, estimator)(batch, draws.scenario, streams, truth)
+    with_truth = cast(Callable[..., Estimates], estimator)
+    return with_truth(batch, draws.scenario, streams, truth)
 
 
 def placed(batch: Batch, at: np.ndarray) -> Batch:
@@ -155,7 +156,7 @@ def placed(batch: Batch, at: np.ndarray) -> Batch:
     def taken(array: np.ndarray | None) -> np.ndarray | None:
         if array is None or len(array) == 1:
             return array
-        found = array[at]
+        found: np.ndarray = array[at]
         found.setflags(write=False)
         return found
 

@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -35,66 +35,68 @@ def compute_all(
     skip: Callable[[Task], bool],
 ) -> None:
     """Compute tasks, but those to skip when their turn comes, and note what became of each."""
-    from joblib import Parallel, delayed
-
     if not tasks:
         return
     prepare(tasks, progress)
     options = tasks[0].cell.runner
-    workers = min(cores(options.n_jobs), len(tasks))
+    wanted = ((i, task) for i, task in enumerate(tasks) if not skip(task))
+    if options.backend == "dask":
+        results = _on_a_cluster(tasks, wanted, out)
+    elif options.backend == "sequential" or min(cores(options.n_jobs), len(tasks)) == 1:
+        results = (numbered(i, task, out) for i, task in wanted)
+    else:
+        results = _on_this_machine(tasks, wanted, out)
     with _bar(sum(task.size for task in tasks), progress) as advance:
-
-        def finish(number: int, losses: Mapping[str, Loss]) -> None:
+        for number, losses in results:
             note(tasks[number], losses)
             advance(tasks[number].size)
 
-        if options.backend == "dask":
-            # every worker opens the folder by its full name, so that its own working folder does
-            # not matter
-            where, codes = (
-                out.resolve(),
-                {task.cell.id: code_key(task.cell) for task in tasks},
-            )
-            with cluster(options.address, tasks) as backend:
-                parallel = Parallel(
-                    -1,
-                    backend=backend,
-                    return_as="generator_unordered",
-                    pre_dispatch=_WAITING_TASKS,
-                    batch_size=1,
-                )
-                calls = (
-                    (i, t, where, codes[t.cell.id]) for i, t in enumerate(tasks) if not skip(t)
-                )
-                for found in parallel(delayed(compute_remotely)(*call) for call in calls):
-                    wait_until_seen(tasks[found[0]], out)
-                    finish(*found)
-            return
-        if workers == 1 or options.backend == "sequential":
-            for i, task in enumerate(tasks):
-                if not skip(task):
-                    finish(*numbered(i, task, out))
-            return
-        # threads share one BLAS: limit it here, once, not in each block
-        limit = threadpool_limits(1) if options.backend == "threading" else nullcontext()
-        settle = (
-            {"initializer": _settle, "initargs": (list(sys.path), os.getpid())}
-            if options.backend == "loky"
-            else {}
-        )
+
+Numbered = tuple[int, Task]
+Result = tuple[int, dict[str, Loss]]
+
+
+def _on_this_machine(
+    tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path
+) -> Iterator[Result]:
+    """The results of tasks on processes or threads, in the order in which they are done."""
+    from joblib import Parallel, delayed
+
+    options = tasks[0].cell.runner
+    own: dict[str, Any] = {}
+    if options.backend == "loky":
+        own = {"initializer": _start_worker, "initargs": (list(sys.path), os.getpid())}
+    parallel = Parallel(
+        min(cores(options.n_jobs), len(tasks)),
+        backend=options.backend,
+        return_as="generator_unordered",
+        pre_dispatch="2*n_jobs",
+        max_nbytes=None,  # no arrays by way of pickles on disk
+        **own,
+    )
+    # threads share one BLAS: limit it here, once, not in each block
+    with threadpool_limits(1) if options.backend == "threading" else nullcontext():
+        yield from parallel(delayed(numbered)(i, task, out) for i, task in wanted)
+
+
+def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) -> Iterator[Result]:
+    """The results of tasks on a Dask cluster, once what they wrote is visible here."""
+    from joblib import Parallel, delayed
+
+    # workers open the folder by its full name: their own working folder does not matter
+    where, codes = out.resolve(), {task.cell.id: code_key(task.cell) for task in tasks}
+    with cluster(tasks[0].cell.runner.address, tasks) as backend:
         parallel = Parallel(
-            workers,
-            backend=options.backend,
+            -1,
+            backend=backend,
             return_as="generator_unordered",
-            pre_dispatch="2*n_jobs",
-            max_nbytes=None,  # no arrays by way of pickles on disk
-            **settle,
+            pre_dispatch=_WAITING_TASKS,
+            batch_size=1,
         )
-        with limit:
-            for found in parallel(
-                delayed(numbered)(i, task, out) for i, task in enumerate(tasks) if not skip(task)
-            ):
-                finish(*found)
+        calls = ((i, task, where, codes[task.cell.id]) for i, task in wanted)
+        for number, losses in parallel(delayed(compute_remotely)(*call) for call in calls):
+            wait_until_seen(tasks[number], out)
+            yield number, losses
 
 
 def prepare(tasks: Sequence[Task], progress: bool) -> None:
@@ -112,7 +114,7 @@ def prepare(tasks: Sequence[Task], progress: bool) -> None:
         estimator.prepare(say)
 
 
-def _settle(path: list[str], parent: int) -> None:
+def _start_worker(path: list[str], parent: int) -> None:
     """In a worker process: import from where the parent does, and end when it is gone, however it
     went.
     """

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +35,16 @@ from aoabench.roles import Scenario
 from aoabench.types import Measurements
 
 _WAVES = 32  # plane waves that make up a field
+
+
+class _Channel(NamedTuple):
+    """What is drawn once for a campaign over P points, B anchors and D days."""
+
+    bias: Array  # (P, B, 2) rad, of azimuth and elevation
+    walls: Array  # (P, B, 4): the largest says which wall mirrors
+    shade: Array  # (P, B), shadowing in units of its deviation
+    force: Array  # (P, B), logarithm of the pull in units of its spread
+    offset: Array  # (D, B, 2) rad, of azimuth and elevation
 
 
 @dataclass(frozen=True)
@@ -106,33 +117,17 @@ class BleMultipath(MountedNoise):
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """Azimuth, elevation (T, B) rad and rssi (T, B) dBm of true states (T, n).
 
-        The scenario's `day_of` says which day a step belongs to. Days
-        beyond the list of `disturbed`, and anchors beyond those of `bias_scale` and `pull`, take
-        the last one's.
+        The scenario's `day_of` says which day a step belongs to. Days beyond the list of
+        `disturbed`, and anchors beyond those of `bias_scale` and `pull`, take the last one's.
         """
         point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
-        anchors, seat, day = scenario.true_anchors, seat.ravel(), scenario.day_of(len(truth))
-        T, B, D = len(truth), anchors.count, int(day.max()) + 1
-        # the campaign's channel: every draw is made whatever the parameters are, so that two
-        # settings are paired
-        bias = np.deg2rad([self.azimuth_bias_deg, self.elevation_bias_deg]) * self._fields(
-            rng, point, (B, 2)
-        )
-        bias = bias * _each(self.bias_scale, B)[:, None]
-        walls, (shade, force) = (
-            self._fields(rng, point, (B, 4)),
-            np.moveaxis(self._fields(rng, point, (B, 2)), -1, 0),
-        )
-        offset = np.deg2rad([self.azimuth_day_deg, self.elevation_day_deg]) * rng.standard_normal(
-            (D, B, 2)
-        )
-        # its packets
-        hit = rng.random(T) < _each(self.disturbed, D)[day]
-        strength = (
-            _each(self.pull, B)
-            * np.exp(self.pull_spread * force)[seat]
-            * rng.exponential(size=(T, B))
-        )
+        seat, day = seat.ravel(), scenario.day_of(len(truth))
+        T, B = len(truth), scenario.true_anchors.count
+        # every draw is made whatever the parameters are, so that two settings are paired
+        channel = self._channel(rng, point, B, int(day.max()) + 1)
+        hit = rng.random(T) < _each(self.disturbed, len(channel.offset))[day]
+        spread = np.exp(self.pull_spread * channel.force)[seat]
+        strength = _each(self.pull, B) * spread * rng.exponential(size=(T, B))
         fraction = np.where(hit[:, None], 1.0 - np.exp(-strength), 0.0)
         noise, laplace = rng.standard_normal((2, T, B)), rng.laplace(size=(2, T, B))
         outlier, lost = rng.random((T, B)) < self.outliers, rng.random((T, B)) < self.lost
@@ -140,41 +135,50 @@ class BleMultipath(MountedNoise):
         heard = scenario.hears(truth[:, :3])
         lost |= False if heard is None else ~heard
 
-        seen = [
-            x - anchors.frames[0][0] for x in (point[:, None], self._images(scenario, point, walls))
-        ]
-        distance = np.linalg.norm(seen[0], axis=-1)
-        to_node, to_image = (
-            np.einsum(
-                "bij,pbj->pbi",
-                anchors.frames[1][0],
-                v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9),
-            )
-            for v in seen
-        )
+        distance, to_node, to_image = self._directions(scenario, point, channel.walls)
         v = (1 - fraction)[..., None] * to_node[seat] + fraction[..., None] * to_image[seat]
         azimuth, elevation = to_azel(v[..., 0], v[..., 1], v[..., 2])
         flat = 1.0 - np.abs(elevation) / (np.pi / 2)
-        elevation = elevation + np.copysign(
-            np.deg2rad(self.steep_deg) * flat**self.steep_power, elevation
-        )
-        e = bias[seat] + offset[day]
+        steeper = np.deg2rad(self.steep_deg) * flat**self.steep_power
+        elevation = elevation + np.copysign(steeper, elevation)
+        e = channel.bias[seat] + channel.offset[day]
         wide = np.maximum(np.cos(elevation), self.pole_floor)
-        scale = np.deg2rad(self.outlier_deg)
         azimuth = azimuth + e[..., 0] + np.deg2rad(self.azimuth_noise_deg) / wide * noise[0]
         elevation = elevation + e[..., 1] + np.deg2rad(self.elevation_noise_deg) * noise[1]
-        azimuth, elevation = (
-            y + np.where(outlier, scale * o, 0.0) for y, o in zip((azimuth, elevation), laplace)
-        )
-        azimuth, elevation = flip(azimuth, elevation)
+        scale = np.deg2rad(self.outlier_deg)
+        more = [np.where(outlier, scale * one, 0.0) for one in laplace]
+        azimuth, elevation = flip(azimuth + more[0], elevation + more[1])
         rssi = self.rssi_1m_dbm - 10 * self.rssi_exponent * np.log10(np.maximum(distance, 0.01))
-        rssi = (rssi + self.shadowing_db * shade)[seat] + self.fading_db * fading
-        stated = (
-            np.full((T, B), np.deg2rad(deg))
-            for deg in (self.azimuth_noise_deg, self.elevation_noise_deg)
-        )
+        rssi = (rssi + self.shadowing_db * channel.shade)[seat] + self.fading_db * fading
+        deviations = np.deg2rad([self.azimuth_noise_deg, self.elevation_noise_deg])
+        stated = [np.full((T, B), deviation) for deviation in deviations]
         azimuth, elevation, rssi = (np.where(lost, np.nan, y) for y in (azimuth, elevation, rssi))
         return Measurements(azimuth, elevation, None, rssi, *stated)
+
+    def _channel(self, rng: np.random.Generator, point: Array, B: int, days: int) -> _Channel:
+        """The channel of one campaign over points (P, 3) m."""
+        bias = np.deg2rad([self.azimuth_bias_deg, self.elevation_bias_deg])
+        bias = bias * self._fields(rng, point, (B, 2))
+        bias = bias * _each(self.bias_scale, B)[:, None]
+        walls = self._fields(rng, point, (B, 4))
+        shade, force = np.moveaxis(self._fields(rng, point, (B, 2)), -1, 0)
+        offset = np.deg2rad([self.azimuth_day_deg, self.elevation_day_deg])
+        return _Channel(bias, walls, shade, force, offset * rng.standard_normal((days, B, 2)))
+
+    def _directions(
+        self, scenario: Scenario, point: Array, walls: Array
+    ) -> tuple[Array, Array, Array]:
+        """Distances (P, B) m of points (P, 3) m from the anchors, and unit vectors (P, B, 3) in
+        their frames to the points and to their mirror images.
+        """
+        position, rotation = (a[0] for a in scenario.true_anchors.frames)
+        seen = [x - position for x in (point[:, None], self._images(scenario, point, walls))]
+        lengths = [np.linalg.norm(v, axis=-1, keepdims=True) for v in seen]
+        node, image = (
+            np.einsum("bij,pbj->pbi", rotation, v / np.maximum(length, 1e-9))
+            for v, length in zip(seen, lengths)
+        )
+        return lengths[0][..., 0], node, image
 
     def _fields(self, rng: np.random.Generator, point: Array, shape: tuple[int, int]) -> Array:
         """Gaussian fields (P, *shape) of variance 1 at points (P, 3) m, correlated over the floor:

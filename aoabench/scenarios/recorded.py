@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from aoabench.devices.longtable import Table, header, read_anchors
+from aoabench.devices.longtable import read_anchors
+from aoabench.devices.table import Table, header
 from aoabench.errors import BadValue, check_array, check_choice, check_number, did_you_mean
 from aoabench.maths.geometry import Array, wrap
 from aoabench.roles import Scenario

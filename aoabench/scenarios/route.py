@@ -44,33 +44,15 @@ class RoundedRoute:
         heading = np.arctan2(legs[:, 1], legs[:, 0])
         turn = wrap(np.diff(heading))
         for i in np.flatnonzero(np.abs(turn) > np.pi - 1e-3):
-            raise BadValue(
-                f"route[{i + 1}]",
-                points[i + 1].tolist(),
-                "a waypoint at which the route does not turn back",
-            )
-        cut = np.concatenate(
-            [[0.0], np.tan(np.abs(turn) / 2), [0.0]]
-        )  # of a leg by a corner, per m of radius
-        if np.any(radius_m * (cut[:-1] + cut[1:]) > lengths + 1e-9):
-            most = lengths / np.maximum(cut[:-1] + cut[1:], 1e-12)
-            least = int(np.argmin(most))
-            way = f"the way from waypoint {least} to {least + 1} is {lengths[least]:.4g} m long"
-            raise BadValue(
-                "corner_radius_m",
-                radius_m,
-                f"a number <= {np.floor(most[least] * 1e4) / 1e4:g}; {way}",
-            )
+            allowed = "a waypoint at which the route does not turn back"
+            raise BadValue(f"route[{i + 1}]", points[i + 1].tolist(), allowed)
+        cut = np.concatenate([[0.0], np.tan(np.abs(turn) / 2), [0.0]])  # of a leg, per m of radius
+        _check_radius(radius_m, cut[:-1] + cut[1:], lengths)
         ahead = legs / lengths[:, None]
         line = lengths - radius_m * (cut[:-1] + cut[1:])
         # line, arc, line, ..., line; the last arc has length 0
-        start = np.stack(
-            [
-                points[:-1] + radius_m * cut[:-1, None] * ahead,
-                points[1:] - radius_m * cut[1:, None] * ahead,
-            ],
-            1,
-        )
+        from_corner, to_corner = (radius_m * c[:, None] * ahead for c in (cut[:-1], cut[1:]))
+        start = np.stack([points[:-1] + from_corner, points[1:] - to_corner], 1)
         turns = np.append(turn, 0.0)
         pieces = np.stack([np.maximum(line, 0), radius_m * np.abs(turns)], axis=1).ravel()
         return cls(
@@ -92,3 +74,16 @@ class RoundedRoute:
             [np.cos(middle), np.sin(middle)], axis=-1
         )
         return position, np.stack([np.cos(h + k * s), np.sin(h + k * s)], axis=-1), k
+
+
+def _check_radius(radius_m: float, cut: Array, lengths: Array) -> None:
+    """Raise BadValue where the corners of a leg cut off more than its length; `cut` per m of
+    radius.
+    """
+    if not np.any(radius_m * cut > lengths + 1e-9):
+        return
+    most = lengths / np.maximum(cut, 1e-12)
+    least = int(np.argmin(most))
+    way = f"the way from waypoint {least} to {least + 1} is {lengths[least]:.4g} m long"
+    allowed = f"a number <= {np.floor(most[least] * 1e4) / 1e4:g}; {way}"
+    raise BadValue("corner_radius_m", radius_m, allowed)

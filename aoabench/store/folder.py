@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aoabench.cell import Cell
 from aoabench.columns import IDENTITY, KINDS
 from aoabench.errors import RunError
 from aoabench.store.files import provenance, schema, write_atomically
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 def record_cell(
     out: Path,
-    cell: Any,
+    cell: Cell,
     keys: Mapping[str, str],
     draws: str,
     timing: Mapping[str, Any],
@@ -37,28 +38,18 @@ def record_cell(
     Estimators noted earlier stay, if they saw the same draws; those of an older simulation are
     dropped, because nobody may pair them.
     """
-    path = out / "cells" / f"{cell.id}.json"
-    before = read_record(path)
+    before = read_record(out / "cells" / f"{cell.id}.json")
     if before.get("draws") != draws:
         before = {"experiment": before.get("experiment")}
     entries = dict(before.get("estimators", {}))
     for name, key in keys.items():
-        if not reps[name]:
-            entries.pop(name, None)
-            continue
-        entries[name] = {
-            "key": key,
-            "reps": reps[name],
-            "steps": cell.runner.steps,
-            "timing": timing.get(key),
-        }
-        entries[name] |= {"precision": precision.get(name)}
+        known = {"timing": timing.get(key), "precision": precision.get(name)}
+        entries[name] = {"key": key, "reps": reps[name], "steps": cell.runner.steps, **known}
+    entries = {name: entry for name, entry in entries.items() if entry["reps"]}
     config = dict(cell.config)
     for group in ("filter", "estimator"):
-        config[group] = {
-            **(before.get("config", {}).get(group) or {}),
-            **(cell.config.get(group) or {}),
-        }
+        earlier = before.get("config", {}).get(group) or {}
+        config[group] = {**earlier, **(cell.config.get(group) or {})}
     record = {
         "cell": cell.id,
         "experiment": cell.experiment or before.get("experiment"),
@@ -87,7 +78,7 @@ def write_record(out: Path, record: Mapping[str, Any]) -> None:
 def read_record(path: Path) -> dict[str, Any]:
     """A cell's record; {} if there is none, it is torn, or it names files elsewhere."""
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         keys = [entry["key"] for entry in record.get("estimators", {}).values()]
         if record["cell"] == path.stem and all(key.isalnum() for key in keys):
             return record

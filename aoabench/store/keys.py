@@ -21,12 +21,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     pass
+from aoabench.cell import Cell
 from aoabench.maths.digest import described, digest
 from aoabench.resources import version
 from aoabench.store.files import file_checksum
 
 
-def part_key(cell: Any, estimator: str, draws: str | None = None) -> str:
+def part_key(cell: Cell, estimator: str, draws: str | None = None) -> str:
     """Hash of everything that one estimator's rows in one cell depend on; `draws` is the cell's
     draws_key, if known.
     """
@@ -41,7 +42,7 @@ def part_key(cell: Any, estimator: str, draws: str | None = None) -> str:
     })  # fmt: skip
 
 
-def draws_key(cell: Any) -> str:
+def draws_key(cell: Cell) -> str:
     """Hash of all that the simulated truth, measurements and scores of one cell depend on."""
     return digest(
         {
@@ -57,7 +58,7 @@ def draws_key(cell: Any) -> str:
     )
 
 
-def code_key(cell: Any) -> str:
+def code_key(cell: Cell) -> str:
     """Hash of the source and libraries that a cell's numbers depend on, as they are where this is
     called.
     """

@@ -58,7 +58,7 @@ class Clusters:
         """
         if metric == "iterations":
             n = np.maximum(self.fixes, 1e-300)  # none at all: nothing to tell, without a warning
-            return (self.iterations - n * self.iterations.sum() / n.sum()) / n.mean()
+            return np.asarray((self.iterations - n * self.iterations.sum() / n.sum()) / n.mean())
         axis = {"rmse_3d_m": "3d", "rmse_xy_m": "xy", "rmse_z_m": "z"}.get(metric)
         return (
             None

@@ -36,8 +36,6 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     Raises UserError if `out` holds no run, and RunError if a part has vanished, so that no table is
     silently short.
     """
-    import pandas as pd
-
     noted = records(out)
     if not noted:
         raise UserError(f"{out}: no results here; allowed: the runner.out folder of a run")
@@ -51,30 +49,45 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
             else:
                 (out / "steps.parquet" / f"{record['cell']}.parquet").unlink(missing_ok=True)
     swept = swept_parameters(noted)
-    noted.sort(
-        key=lambda r: (
-            r["experiment"] or "",
-            r["scenario"],
-            r["noise"],
-            _natural(swept[r["cell"]].values()),
-        )
-    )
-    cells = pd.DataFrame(
-        [
-            {
-                **{k: r[k] for k in ("cell", "experiment", "scenario", "noise", "seed")},
-                **swept[r["cell"]],
-                "estimators": ", ".join(r["estimators"]),
-                "config": json.dumps(r["config"], sort_keys=True),
-            }
-            for r in noted
-        ]
-    )
+
+    def order(record: Mapping[str, Any]) -> tuple[Any, ...]:
+        names = record["experiment"] or "", record["scenario"], record["noise"]
+        return (*names, _natural(swept[record["cell"]].values()))
+
+    noted.sort(key=order)
+    cells = _cell_table(noted, swept)
+    write_frame(out / "cells.parquet", cells)
+    _write_tidy(out, cells)
+    _write_summary(out, noted)
+    write_timing(out)
+
+
+def _cell_table(
+    noted: Sequence[Mapping[str, Any]], swept: Mapping[str, Mapping[str, Any]]
+) -> pd.DataFrame:
+    """A row per cell, with a column per swept parameter and the resolved config."""
+    import pandas as pd
+
+    rows = [
+        {
+            **{k: r[k] for k in ("cell", "experiment", "scenario", "noise", "seed")},
+            **swept[r["cell"]],
+            "estimators": ", ".join(r["estimators"]),
+            "config": json.dumps(r["config"], sort_keys=True),
+        }
+        for r in noted
+    ]
+    cells = pd.DataFrame(rows)
     cells["experiment"] = cells["experiment"].astype("string")
     for parameter in next(iter(swept.values())):
         cells[parameter] = one_kind(cells[parameter])
-    write_frame(out / "cells.parquet", cells)
-    _write_tidy(out, cells)
+    return cells
+
+
+def _write_summary(out: Path, noted: Sequence[Mapping[str, Any]]) -> None:
+    """The summary and the failures of every estimator in every cell."""
+    import pandas as pd
+
     rows, failed = [], []
     for record in noted:
         frame = pd.read_parquet(out / "replications.parquet" / f"{record['cell']}.parquet")
@@ -86,7 +99,6 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     summary["experiment"] = summary["experiment"].astype("string")
     write_frame(out / "summary.parquet", summary)
     _write_rows(out / "failures.parquet", failed, FAILURES)
-    write_timing(out)
 
 
 def one_kind(values: pd.Series) -> pd.Series:

@@ -1,0 +1,293 @@
+"""Tables that users bring: CSV or Parquet, a few columns by name, every mistake with its line.
+
+A CSV file has a header, commas and decimal points; the rows of Parquet are counted from 1. Whatever
+is wrong raises BadValue with the key, the file and what is allowed. Heavy imports stay inside: a
+list of presets needs none of them.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aoabench.errors import BadValue, did_you_mean
+from aoabench.maths.geometry import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TEXTS = ("fix", "anchor", "id")  # read as texts: 007 is not 7, and 1E5 no number
+EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None"]
+
+
+def header(key: str, path: object) -> list[str]:
+    """The names of the file's columns."""
+    parquet = _is_parquet(key, path)
+    try:
+        if parquet:
+            import pyarrow.parquet as pq
+
+            return list(pq.read_schema(path).names)
+        with open(str(path), encoding="utf-8-sig", newline="") as file:
+            found = [name.strip() for name in next(csv.reader(file), [])]
+    except (OSError, ValueError, csv.Error) as error:
+        raise BadValue(key, path, f"a readable {_KINDS}; {_reason(error)}") from None
+    if not any(found):
+        raise BadValue(
+            key, path, f"a {_KINDS} whose first line names its columns; this one is empty there"
+        )
+    return found
+
+
+_KINDS = "CSV file in UTF-8 (.csv) or Parquet file (.parquet)"
+
+
+def _is_parquet(key: str, path: object) -> bool:
+    if not isinstance(path, str) or not os.path.isfile(path):
+        there = "; this is a folder" if isinstance(path, str) and os.path.isdir(path) else ""
+        raise BadValue(key, path, f"an existing {_KINDS}{there}")
+    kind = os.path.splitext(path)[1].lower()
+    if kind not in (".csv", ".parquet"):
+        raise BadValue(key, path, f"a {_KINDS}")
+    return kind == ".parquet"
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, UnicodeDecodeError):
+        return f"byte {error.start} is not UTF-8"
+    lines = str(getattr(error, "strerror", None) or error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__
+
+
+@dataclass(frozen=True)
+class Table:
+    """Some columns of a file by our names for them; `names` says what the file calls them."""
+
+    key: str
+    path: str
+    names: Mapping[str, str]
+    frame: pd.DataFrame
+    first: tuple[str, int]
+
+    @staticmethod
+    def read(key: str, path: str, names: Mapping[str, str]) -> Table:
+        """The columns `names` (ours -> the file's), each of which is there once; rows without any
+        content are left out.
+
+        An index of the frame is a row's place in the file.
+        """
+        there = header(key, path)
+        try:
+            if _is_parquet(key, path):
+                table = Table._parquet(key, path, names)
+            else:
+                table = Table._csv(key, path, names, there)
+        except BadValue:
+            raise
+        except (OSError, ValueError) as error:  # pandas and Arrow
+            raise BadValue(key, path, f"a readable {_KINDS}; {_reason(error)}") from None
+        table = table.where(table.frame.notna().any(axis=1).to_numpy())
+        if not len(table.frame):
+            raise table.bad("a file with at least one row")
+        return table
+
+    @staticmethod
+    def _parquet(key: str, path: str, names: Mapping[str, str]) -> Table:
+        import pandas as pd
+        import pyarrow.parquet as pq
+
+        found = pq.read_table(path, columns=list(dict.fromkeys(names.values()))).to_pandas()
+        columns = {ours: found[theirs] for ours, theirs in names.items()}
+        return Table(key, path, names, pd.DataFrame(columns).reset_index(drop=True), ("row", 1))
+
+    @staticmethod
+    def _csv(key: str, path: str, names: Mapping[str, str], there: Sequence[str]) -> Table:
+        import pandas as pd
+
+        places = {ours: there.index(theirs) for ours, theirs in names.items()}
+        beyond = len(there)  # one column more: cells beyond the header would be lost in silence
+        texts = {place for ours, place in places.items() if ours in TEXTS} | {beyond}
+        empty: dict[Any, list[str]] = {p: [""] if p in texts else EMPTY for p in range(beyond + 1)}
+        found = pd.read_csv(
+            path,
+            header=None,
+            skiprows=1,
+            names=range(beyond + 1),
+            index_col=False,
+            dtype=dict.fromkeys(texts, str),
+            na_values=empty,
+            keep_default_na=False,
+            skip_blank_lines=False,
+            skipinitialspace=True,
+            low_memory=False,
+            encoding="utf-8-sig",
+        )
+        frame = pd.DataFrame({ours: found[place] for ours, place in places.items()})
+        table = Table(key, path, names, frame, ("line", 2))
+        long = np.flatnonzero(found[beyond].notna())
+        if len(long):
+            more = f"{table.at(long[0])} has more"
+            raise table.bad(f"{beyond} cells in every row, as in the header; {more}")
+        return table
+
+    def where(self, keep: np.ndarray) -> Table:
+        """The rows that `keep` (N,) marks."""
+        return self if keep.all() else replace(self, frame=self.frame[keep])
+
+    def bad(self, allowed: str) -> BadValue:
+        """The complaint about this file."""
+        return BadValue(self.key, self.path, allowed)
+
+    def at(self, row: int, *columns: str) -> str:
+        """'line 17 has azimuth_deg=400' for a row of the frame, or 'line 17'."""
+        word, first = self.first
+        cells = [(self.names[column], self.frame[column].iloc[row]) for column in columns]
+        said = [
+            f"{name}={value!r}" if isinstance(value, str) else f"{name}={value}"
+            for name, value in cells
+        ]
+        return f"{word} {self.frame.index[row] + first}" + (
+            f" has {' and '.join(said)}" if said else ""
+        )
+
+    def check(self, column: str, wrong: np.ndarray, allowed: str) -> None:
+        """Raise BadValue with the first row that `wrong` (N,) marks."""
+        if wrong.any():
+            raise self.bad(f"{allowed}; {self.at(int(np.flatnonzero(wrong)[0]), column)}")
+
+    def is_number(self, column: str) -> bool:
+        """Whether a column holds numbers, as its first cell that is not empty tells."""
+        import pandas as pd
+
+        cells = self.frame[column].dropna()
+        if pd.api.types.is_datetime64_any_dtype(cells.dtype):
+            return False
+        return (
+            pd.api.types.is_numeric_dtype(cells.dtype) or not len(cells) or _is_float(cells.iloc[0])
+        )
+
+    def numbers(self, column: str, empty: bool = True) -> Array:
+        """A column (N,) of finite numbers; NaN where a cell is empty, if `empty` allows it."""
+        import pandas as pd
+
+        cells = self.frame[column]
+        kind = pd.api.types
+        if kind.is_bool_dtype(cells.dtype) or kind.is_datetime64_any_dtype(cells.dtype):
+            value = np.full(len(cells), np.nan)
+        elif kind.is_numeric_dtype(cells.dtype):
+            value = cells.to_numpy(dtype=float, na_value=np.nan)
+        else:
+            value = pd.to_numeric(cells.astype(str).where(cells.notna()), errors="coerce").to_numpy(
+                dtype=float
+            )
+        absent = cells.isna().to_numpy()
+        name = self.names[column]
+        self.check(
+            column,
+            ~np.isfinite(value) & ~absent,
+            f"finite numbers in {name}" + (", or nothing" * empty),
+        )
+        if not empty:
+            self.check(column, absent, f"a number in {name} in every row")
+        return value
+
+    def times(self, column: str) -> Array:
+        """A column (N,) of numbers, or of dates and times as s since the first."""
+        import pandas as pd
+
+        if self.is_number(column):
+            return self.numbers(column, empty=False)
+        cells = self.frame[column]
+        moments = pd.to_datetime(cells, format="ISO8601", utc=True, errors="coerce")
+        self.check(
+            column,
+            moments.isna().to_numpy(),
+            f"a time in {self.names[column]} in every row, all ISO 8601",
+        )
+        return np.asarray((moments - moments.min()) / pd.Timedelta(seconds=1), dtype=float)
+
+    def texts(self, column: str) -> tuple[np.ndarray, list[str]]:
+        """A column as indices (N,) into its different texts, in order of appearance; none may be
+        empty.
+        """
+        import pandas as pd
+
+        code, distinct = pd.factorize(self.frame[column])
+        texts = [
+            str(int(t) if isinstance(t, float) and t.is_integer() else t).strip()
+            for t in distinct.tolist()
+        ]
+        empty = np.array([*(not text for text in texts), True])  # the last: no value
+        self.check(column, empty[code], f"a value in {self.names[column]} in every row")
+        merged, ids = pd.factorize(np.array(texts, dtype=object))
+        return merged[code], ids.tolist()
+
+    def indices(self, column: str, known: Sequence[str], strict: bool) -> np.ndarray:
+        """A column as indices (N,) into the `known` texts; others raise BadValue if `strict`, else
+        they are -1.
+        """
+        code, ids = self.texts(column)
+        place = {text: i for i, text in enumerate(known)}
+        index = np.array([place.get(text, -1) for text in ids])[code]
+        if strict and (index < 0).any():
+            stranger = ids[code[int(np.flatnonzero(index < 0)[0])]]
+            some = ", ".join(known[:20]) + (f", ... ({len(known)})" if len(known) > 20 else "")
+            wrong = self.at(int(np.flatnonzero(index < 0)[0]), column)
+            raise self.bad(
+                f"{self.names[column]} one of {some}; {wrong}{did_you_mean(stranger, known)}"
+            )
+        return index
+
+    def shared(self, column: str, group: np.ndarray, count: int, tolerance: float) -> Array:
+        """One number (count,) for each group of rows (N,), NaN without any; those of a group differ
+        by `tolerance` at most."""
+        value, found = self.numbers(column), np.full(count, np.nan)
+        known = np.flatnonzero(np.isfinite(value))
+        groups, first = np.unique(group[known], return_index=True)
+        found[groups] = value[known[first]]
+        off = np.flatnonzero(np.abs(value - found[group]) > tolerance)
+        if len(off):
+            other = known[group[known] == group[off[0]]][0]
+            one, two = self.at(int(other), column), self.at(int(off[0]), column)
+            raise self.bad(f"one {self.names[column]} for all rows of a fix; {one}, {two}")
+        return found
+
+    def distinct(
+        self, pair: np.ndarray, values: Mapping[str, Array], which: str, hint: str
+    ) -> np.ndarray:
+        """Which rows to keep, one for each number in `pair` (N,): the `first`, the `last`, or any
+        if `which` is error.
+
+        Rows of one pair with different `values` (N,) raise BadValue then.
+        """
+        _, first, inverse = np.unique(pair, return_index=True, return_inverse=True)
+        if len(first) == len(pair):
+            return np.arange(len(pair))
+        if which == "last":
+            return np.sort(len(pair) - 1 - np.unique(pair[::-1], return_index=True)[1])
+        if which == "error":
+            mate = first[inverse]
+            for value in values.values():
+                differs = np.flatnonzero(
+                    (value != value[mate]) & ~(np.isnan(value) & np.isnan(value[mate]))
+                )
+                if len(differs):
+                    one, two = (
+                        self.at(int(row), "anchor", "azimuth")
+                        for row in (mate[differs[0]], differs[0])
+                    )
+                    raise self.bad(f"one row per anchor in each fix, or {hint}; {one}, {two}")
+        return np.sort(first)
+
+
+def _is_float(value: Any) -> bool:
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return True
