@@ -80,12 +80,13 @@ class Anchors:
         """The anchors (1, T|1, B, ...) of the i-th replication."""
         return Anchors(**{n: a if len(a) == 1 else a[i : i + 1] for n, a in self.arrays.items()})
 
-    def at(self, k: int) -> Anchors:
-        """The anchors (R|1, 1, B, ...) at the k-th step."""
+    def at(self, steps: int | np.ndarray) -> Anchors:
+        """The anchors (R|1, 1, B, ...) at one step, or (R|1, K|1, B, ...) at K of them."""
         if not self.moving:
             return self
+        index = np.atleast_1d(steps)
         arrays = self.arrays.items()
-        return Anchors(**{n: a if a.shape[1] == 1 else a[:, k : k + 1] for n, a in arrays})
+        return Anchors(**{name: a if a.shape[1] == 1 else a[:, index] for name, a in arrays})
 
     def those(self, index: np.ndarray) -> Anchors:
         """Some of the anchors (R|1, T|1, K, ...), by their indices (K,)."""
