@@ -19,7 +19,7 @@ def wrap(angle: ArrayLike) -> Array:
     """Angle (...) rad brought into (-pi, pi]."""
     a = np.asarray(angle, dtype=float)
     a = a - 2 * np.pi * np.rint(a / (2 * np.pi))
-    return np.where(a <= -np.pi, np.pi, a)
+    return np.where(a <= -np.pi, np.pi, np.minimum(a, np.pi))  # rounding may exceed pi
 
 
 def to_unit(azimuth: ArrayLike, elevation: ArrayLike) -> Array:
