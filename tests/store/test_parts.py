@@ -1,5 +1,7 @@
 """What is missing of a range, whatever pieces of it are there."""
 
+from itertools import pairwise
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,4 +20,4 @@ def test_gaps_and_pieces_make_the_whole_and_do_not_meet(done, reps):
     missing = [i for start, stop in gaps for i in range(start, stop)]
     assert missing == sorted(set(range(reps)) - covered)
     assert all(start < stop for start, stop in gaps)
-    assert all(before[1] < after[0] for before, after in zip(gaps, gaps[1:]))
+    assert all(before[1] < after[0] for before, after in pairwise(gaps))
