@@ -32,7 +32,7 @@ def build(
     plain: Mapping[str, Any],
     choices: Mapping[str, Any],
     *,
-    overrides: Sequence[str] = (),
+    keys: Sequence[str] = (),
     typed: Iterable[str] = (),
     plugins: Sequence[str] = (),
     changed: Mapping[str, Any] | None = None,
@@ -40,7 +40,7 @@ def build(
 ) -> Cell:
     """Validate one composed and resolved job and make its objects.
 
-    `choices` names the presets chosen, `overrides` the job's settings, `typed` the keys that the
+    `choices` names the presets chosen, `keys` what the job sets, `typed` the keys that the
     user's own command line sets and `plugins` the packages that it names, `changed` the estimators'
     parameters that differ from their presets, `extra` further estimators given as objects. Raises
     UserError for all that can be known before a run.
@@ -69,7 +69,7 @@ def build(
         construct(plain["scenario"], "scenario", plugins),
         ("truth", "prior", "known_anchors"),
     )
-    plain, choices, notes = _as_recorded(plain, choices, scenario, overrides)
+    plain, choices, notes = _as_recorded(plain, choices, scenario, keys)
     noise = _as("noise", construct(plain["noise"], "noise", plugins), ("sample",))
     if not isinstance(scenario.name, str) or not scenario.name:
         raise BadValue("scenario.name", scenario.name, "a text, which keys the random streams")
@@ -102,9 +102,7 @@ def build(
         config={k: plain.get(k) or None for k in ("scenario", "noise", "filter", "estimator")}
         | {"seed": plain["seed"]},
         changed=dict(changed or {}),
-        swept=tuple(
-            o.partition("=")[0].lstrip("+") for o in overrides if "." in o.partition("=")[0]
-        ),
+        swept=tuple(key for key in keys if "." in key),
         experiment=choices.get("experiment"),
         plugins=tuple(plugins),
         notes=notes,
@@ -112,7 +110,7 @@ def build(
 
 
 def _as_recorded(
-    plain: Mapping[str, Any], choices: Mapping[str, Any], scenario: Any, overrides: Sequence[str]
+    plain: Mapping[str, Any], choices: Mapping[str, Any], scenario: Any, keys: Sequence[str]
 ) -> tuple[Mapping[str, Any], Mapping[str, Any], tuple[str, ...]]:
     """The job with the recording for its noise and no more replications than it has; and lines
     about it.
@@ -120,7 +118,6 @@ def _as_recorded(
     if getattr(scenario, "recorded", None) is None:
         return plain, choices, ()
     notes = [*getattr(scenario, "notes", ())]
-    keys = [override.partition("=")[0].lstrip("+") for override in overrides]
     if any(key.split(".")[0] == "noise" for key in keys):
         notes.append("noise is not used: scenario.path has the measurements")
     reps = min(plain["reps"], getattr(scenario, "replications", plain["reps"]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -190,7 +191,7 @@ def exported(
     write_atomically(log, lambda temporary: write(temporary, index=False))
     table = pd.DataFrame({"id": np.arange(1, B + 1), **place, **axes})
     write_atomically(anchors, lambda temporary: table.to_csv(temporary, index=False))
-    words = [f"""'scenario.path="{log}"' 'scenario.anchors="{anchors}"'"""]
+    words = [shlex.join([f"scenario.path={log}", f"scenario.anchors={anchors}"])]
     height, bounds = getattr(scenario, "height_m", None), getattr(scenario, "bounds_m", None)
     if isinstance(height, int | float):
         words.append(f"scenario.height_m={height}")
