@@ -52,9 +52,10 @@ def run(
     what stopped the run on its way.
     """
     from aoabench.config.compose import compose_cells
+    from aoabench.config.overrides import file_setting
     from aoabench.engine import runner
 
-    given = [*overrides, *([f"runner.out={os.fspath(out)}"] if out is not None else [])]
+    given = [*overrides, *([file_setting("runner.out", os.fspath(out))] if out is not None else [])]
     cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
     frame = load(runner.run(cells, progress).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}

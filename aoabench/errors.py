@@ -19,6 +19,14 @@ def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
+def shorten(text: str, most: int = 200) -> str:
+    """`text`, with ` ... ` for its middle where it has more than `most` characters."""
+    if len(text) <= most:
+        return text
+    half = (most - 5) // 2
+    return f"{text[:half]} ... {text[-half:]}"
+
+
 class UserError(Exception):
     """A mistake that only the user can mend: one clear line, exit status 2."""
 
@@ -32,7 +40,7 @@ class BadValue(UserError, ValueError):
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         self.key, self.value, self.allowed = key, value, allowed
-        super().__init__(f"{key}={value!r} is not allowed; allowed: {allowed}")
+        super().__init__(f"{key}={shorten(repr(value))} is not allowed; allowed: {allowed}")
 
     def __reduce__(self) -> tuple[type, tuple[str, object, str]]:  # so that a worker can raise it
         return type(self), (self.key, self.value, self.allowed)

@@ -587,7 +587,7 @@ def memory(repeats: int) -> Iterator[Row]:
                 f"runner.out={folder}/{name}{reps}",
             ]
             script = (
-                f"from aoabench.cli import dispatch\ndispatch({words!r})\n"
+                f"from aoabench.cli.main import dispatch\ndispatch({words!r})\n"
                 "print('PEAK', *(line.split()[1] "
                 "for line in open('/proc/self/status') if 'VmHWM' in line))"
             )

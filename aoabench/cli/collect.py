@@ -3,29 +3,41 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from aoabench.cli.common import Parser
+import click
+
+from aoabench.cli.common import Command, json_option, print_json, run_argument, say
 from aoabench.errors import UserError
 
+_TABLES = ("tidy", "replications", "summary", "cells", "timing")
 
-def collect(arguments: Sequence[str]) -> int:
-    """`aoabench collect`: make the tables of a run again from its parts."""
+
+@click.command(cls=Command)
+@run_argument
+@json_option
+def collect(run: Path, as_json: bool) -> None:
+    """Make the tables of a run again from its parts.
+
+    Every run ends so; it is needed only where tables were lost.
+
+    \b
+    Example:
+      aoabench collect results/raw/sigma
+
+    With --json: `run`, the folder; `cells`, how many the tables show; `tables`, an object
+    {name: path}.
+    """
     from aoabench.store import folder, tables
     from aoabench.store.files import locked
 
-    parser = Parser(
-        prog="aoabench collect",
-        description="Make the tables of a run from its parts; every run does so.",
-    )
-    parser.add_argument("run", help="folder of a run (runner.out)")
-    given = parser.parse_args(list(arguments))
-    out = Path(given.run)
-    noted = folder.records(out)
+    noted = folder.records(run)
     if not noted:
-        raise UserError(f"{out}: no results here; allowed: the runner.out folder of a run")
-    with locked(out, lambda line: print(f"aoabench: {line}", file=sys.stderr)):
-        tables.collect(out)
-    print(f"{len(noted)} cells: {out}/{{tidy,replications,summary,cells,timing}}.parquet")
-    return 0
+        raise UserError(f"{run}: no results here; allowed: the runner.out folder of a run")
+    with locked(run, lambda line: print(f"aoabench: {line}", file=sys.stderr)):
+        tables.collect(run)
+    if as_json:
+        paths = {name: run / f"{name}.parquet" for name in _TABLES}
+        print_json({"run": run, "cells": len(noted), "tables": paths})
+        return
+    say(f"{len(noted)} cells: {run}/{{{','.join(_TABLES)}}}.parquet")

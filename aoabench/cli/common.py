@@ -2,29 +2,149 @@
 
 from __future__ import annotations
 
-import argparse
-from typing import NoReturn
+import contextlib
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
 
-from aoabench.errors import UserError
+import click
+from click.shell_completion import CompletionItem
+
+from aoabench.errors import did_you_mean, shorten
+
+_QUIET = "aoabench.quiet"
+SCHEMA = 1  # of the objects that --json prints
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
 
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
+class Command(click.Command):
+    """A subcommand with -q, which keeps everything but errors off standard error."""
 
-    def error(self, message: str) -> NoReturn:
-        raise UserError(
-            f"{self.prog.partition(' ')[2] or 'command'}: {message}; see `{self.prog} --help`"
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params.append(
+            click.Option(
+                ["-q", "--quiet"],
+                is_flag=True,
+                expose_value=False,
+                callback=_note_quiet,
+                help="Print no progress and no remarks.",
+            )
         )
 
+    def invoke(self, ctx: click.Context) -> Any:
+        if not ctx.meta.get(_QUIET):
+            return super().invoke(ctx)
+        with (
+            open(os.devnull, "w", encoding="utf-8") as nowhere,
+            contextlib.redirect_stderr(nowhere),
+        ):
+            return super().invoke(ctx)
 
-def results_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--results", default="results", help="folder of tables, figures and page (default: results)"
-    )
-    parser.add_argument(
-        "--format", choices=["pdf", "svg"], help="figures in this format too, beside the PNG"
-    )
+
+def _note_quiet(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+    ctx.meta[_QUIET] = value
 
 
-def formats(given: argparse.Namespace) -> list[str]:
-    return ["png", given.format] if given.format else ["png"]
+def say(line: str = "") -> None:
+    """Print a line that is not what the command was asked for: with --json to standard error, with
+    -q not at all.
+    """
+    ctx = click.get_current_context()
+    if not ctx.meta.get(_QUIET):
+        print(line, file=sys.stderr if ctx.params.get("as_json") else sys.stdout)
+
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object instead of text."
+)
+
+
+def print_json(found: Mapping[str, Any]) -> None:
+    """Print one object on standard output; numbers that JSON does not know are null."""
+    print(json.dumps({"schema": SCHEMA, **_plain(found)}, allow_nan=False, indent=1))
+
+
+def _plain(value: Any) -> Any:
+    """The value in the types of JSON."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if type(value).__module__ == "numpy":
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
+class Choice(click.Choice[str]):
+    """One of a few words; another one is answered with the nearest of them."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if value not in self.choices:
+            allowed = f"; allowed: {', '.join(self.choices)}"
+            hint = did_you_mean(str(value), self.choices) or allowed
+            self.fail(f"{shorten(repr(value))} is not allowed{hint}")
+        return str(value)
+
+
+def _folders(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(incomplete, type="dir")]
+
+
+run_argument = click.argument(
+    "run",
+    type=click.Path(path_type=Path),
+    shell_complete=_folders,
+    help="Folder of a run (its runner.out).",
+)
+
+
+def estimator_names(
+    ctx: click.Context, _param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Completions by the estimators of RUN; of all presets where RUN is not known."""
+    from aoabench.config.presets import options
+
+    given = ctx.params.get("run") or next(iter(ctx.args), "")  # in args, while a flag has no value
+    files = Path(given).glob("cells/*.json")
+    names: Iterable[str] = {name for file in files for name in _estimators(file)}
+    names = names or [name for group in ("filter", "estimator") for name in options(group)]
+    return [CompletionItem(name) for name in sorted(names) if name.startswith(incomplete)]
+
+
+def _estimators(file: Path) -> list[str]:
+    """The estimators that the record of a cell names; none if it cannot be read."""
+    try:
+        return list(json.loads(file.read_text(encoding="utf-8"))["estimators"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
+def results_options(command: Decorated) -> Decorated:
+    """--results and --format."""
+    command = click.option(
+        "--format",
+        "format_",
+        type=Choice(["pdf", "svg"]),
+        help="Write figures in this format too, beside the PNG.",
+    )(command)
+    return click.option(
+        "--results",
+        type=click.Path(path_type=Path),
+        default=Path("results"),
+        show_default=True,
+        shell_complete=_folders,
+        help="Folder of tables, figures and page.",
+    )(command)
+
+
+def formats(format_: str | None) -> list[str]:
+    """The formats of the figures."""
+    return ["png", format_] if format_ else ["png"]

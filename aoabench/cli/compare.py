@@ -3,40 +3,62 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from aoabench.cli.common import Parser
+import click
+from click.shell_completion import CompletionItem
+
+from aoabench.cli.common import Command, estimator_names, json_option, print_json, run_argument
 
 
-def compare(arguments: Sequence[str]) -> int:
-    """`aoabench compare`: paired differences between the estimators of each cell, printed and kept
-    beside the run.
+def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    from aoabench.store.compare import METRICS
+
+    return [CompletionItem(name) for name in METRICS if name.startswith(incomplete)]
+
+
+@click.command(cls=Command)
+@run_argument
+@click.option(
+    "--baseline",
+    metavar="ESTIMATOR",
+    shell_complete=estimator_names,
+    help="Compare with this one; by default with the smallest mean of each cell.",
+)
+@click.option(
+    "--metric",
+    default="rmse_3d_m",
+    show_default=True,
+    shell_complete=_metrics,
+    help="A numeric column of replications.parquet (rmse_xy_m, nees ...) or failure_rate.",
+)
+@json_option
+def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None:
+    """Compare the estimators of a run in pairs.
+
+    Pairs are replications, which all estimators see with the same draws. Prints a line for each
+    difference, with its 95 % interval and p-value (Holm's method over all comparisons), and keeps
+    the table as compare.parquet in the folder of the run.
+
+    \b
+    Examples:
+      aoabench compare results/raw/sigma --baseline ekf_vmf
+      aoabench compare results/raw/sigma --metric rmse_z_m
+
+    With --json: `run`, `metric`; `comparisons`, how many p-values Holm's method adjusts; `rows`,
+    the rows of compare.parquet; `left_out`, an object {cell: why it is not compared}.
     """
     from aoabench.report.comparison import lines
     from aoabench.store import compare as compare_module
-    from aoabench.store.compare import METRICS
     from aoabench.store.files import write_frame
 
-    parser = Parser(
-        prog="aoabench compare",
-        description="Paired comparison of estimators over the replications.",
-    )
-    parser.add_argument(
-        "run", help="folder of a run (runner.out); the table is kept there as compare.parquet"
-    )
-    parser.add_argument(
-        "--baseline", help="estimator to compare with (default: the smallest mean of each cell)"
-    )
-    names = ", ".join(METRICS)
-    parser.add_argument(
-        "--metric", default="rmse_3d_m", help=f"one of {names} (default: rmse_3d_m)"
-    )
-    given = parser.parse_args(list(arguments))
-    table = compare_module.compare(given.run, given.baseline, given.metric)
-    print("\n".join(lines(table)))
+    table = compare_module.compare(run, baseline, metric)
+    if as_json:
+        found = {name: table.attrs[name] for name in ("comparisons", "left_out")}
+        print_json({"run": run, "metric": metric, **found, "rows": table.to_dict("records")})
+    else:
+        print("\n".join(lines(table)))
     try:
-        write_frame(Path(given.run) / "compare.parquet", table)
-    except OSError as error:  # another one's run, or an archive
-        print(f"(not kept as {given.run}/compare.parquet: {error.strerror})", file=sys.stderr)
-    return 0
+        write_frame(run / "compare.parquet", table)
+    except OSError as error:  # another user's run, or an archive
+        print(f"(not kept as {run}/compare.parquet: {error.strerror})", file=sys.stderr)

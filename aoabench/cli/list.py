@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
-from aoabench.cli.common import Parser
+import click
+
+from aoabench.cli.common import Choice, Command, json_option, print_json
+from aoabench.config.presets import GROUPS, options
 from aoabench.errors import UserError
 
 
-def list_presets(arguments: Sequence[str]) -> int:
-    """`aoabench list`: every preset with its one-line description."""
-    from aoabench.config.presets import GROUPS, options
+@click.command("list", cls=Command)
+@click.argument(
+    "group", required=False, type=Choice(GROUPS), metavar="[GROUP]", help="Only this group."
+)
+@click.option(
+    "--config-dir", type=click.Path(), help="Also list the presets in this folder of your own."
+)
+@json_option
+def list_presets(group: str | None, config_dir: str | None, as_json: bool) -> None:
+    """List the presets, with a line about each.
 
-    parser = Parser(prog="aoabench list", description="The presets of each config group.")
-    parser.add_argument("group", nargs="?", choices=GROUPS, help="only this group")
-    parser.add_argument("--config-dir", help="also the configs of this folder")
-    given = parser.parse_args(list(arguments))
-    if given.config_dir and not Path(given.config_dir).is_dir():
-        raise UserError(f"--config-dir={given.config_dir}: no such folder")
-    for group in [given.group] if given.group else GROUPS:
-        presets = options(group, given.config_dir)
-        print(f"{group}:" if presets else f"{group}: (none yet)")
-        for name, text in presets.items():
-            print(f"  {name:24s} {text}")
-    return 0
+    \b
+    Examples:
+      aoabench list
+      aoabench list filter
+      aoabench list --json
+
+    With --json: `groups`, an object with an object {preset: description} for each group.
+    """
+    if config_dir and not Path(config_dir).is_dir():
+        raise UserError(f"--config-dir={config_dir}: no such folder")
+    found = {name: options(name, config_dir) for name in ([group] if group else GROUPS)}
+    if as_json:
+        print_json({"groups": found})
+        return
+    for name, presets in found.items():
+        print(f"{name}:" if presets else f"{name}: (none yet)")
+        for preset, text in presets.items():
+            print(f"  {preset:24s} {text}")

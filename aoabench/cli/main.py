@@ -1,15 +1,22 @@
 """The command line: the group of subcommands and their exit status.
 
-Exit status: 0 done, 2 the user's mistake (one line), 1 anything else, 130 interrupted.
+Exit status: 0 done, 2 the user's mistake (one line), 129 hung up, 130 interrupted, 143 terminated,
+1 anything else.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
-from typing import NoReturn
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any, NoReturn
 
+import click
+
+from aoabench import __version__
 from aoabench.cli.collect import collect
 from aoabench.cli.compare import compare
 from aoabench.cli.list import list_presets
@@ -17,77 +24,163 @@ from aoabench.cli.replay import replay
 from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
-from aoabench.errors import RunError, UserError
+from aoabench.errors import RunError, UserError, did_you_mean, shorten
+
+_STOPPED = {"SIGHUP": "hung up", "SIGINT": "interrupted", "SIGTERM": "terminated"}
+
+
+class _Commands(click.Group):
+    """The subcommands, listed in the order in which they were added."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except (KeyboardInterrupt, EOFError) as error:  # click takes both for an interruption
+            raise _Passed(error) from None
+
+
+class _Passed(Exception):
+    """An exception that click is not to see, its only argument."""
+
+
+@click.group(
+    cls=_Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(__version__, "-V", "--version", message="aoabench %(version)s")
+@click.pass_context
+def cli(ctx: click.Context) -> None:
+    """Monte Carlo benchmark of angle-of-arrival (AoA) positioning.
+
+    \b
+    Examples:
+      aoabench list
+      aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
+      aoabench run -m noise.sigma_deg=2,5,10 'filter=[ekf_vmf]' runner.out=results/raw/sigma
+      aoabench compare results/raw/sigma
+
+    `aoabench COMMAND --help` says more about each command. The exit status is 0 when the command is
+    done, 2 after a mistake in the input, 130 when interrupted and 1 for anything else.
+    """
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+@click.command("help", hidden=True)
+@click.argument("command", required=False)
+@click.pass_context
+def help_(ctx: click.Context, command: str | None) -> None:
+    """Print the help of a command."""
+    dispatch([command, "--help"] if command else ["--help"])
+
+
+for _command in (run, list_presets, compare, collect, replay, reproduce, report, help_):
+    cli.add_command(_command)
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Entry point of `aoabench`."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    try:
-        sys.exit(dispatch(arguments))
-    except UserError as error:
-        print(f"aoabench: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
-    except RunError as error:
-        print(f"aoabench: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(1)
-    except KeyboardInterrupt:
-        print(
-            "aoabench: interrupted; what was finished is kept, the same command goes on from there",
-            file=sys.stderr,
-        )
-        sys.exit(130)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+    with _signals() as received:
+        try:
+            sys.exit(dispatch(arguments))
+        except UserError as error:
+            _complain(str(error))
+            sys.exit(2)
+        except RunError as error:
+            _complain(str(error))
+            sys.exit(1)
+        except KeyboardInterrupt:
+            number = received[0] if received else signal.SIGINT
+            _complain(
+                f"{_STOPPED[number.name]}; what was finished is kept, "
+                "the same command goes on from there"
+            )
+            sys.exit(128 + number)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(1)
 
 
 def dispatch(arguments: Sequence[str]) -> int:
-    """Run one subcommand; returns the exit status."""
-    commands: dict[str, Callable[[Sequence[str]], int]] = {
-        "run": run,
-        "reproduce": reproduce,
-        "report": report,
-        "compare": compare,
-        "collect": collect,
-        "replay": replay,
-        "list": list_presets,
+    """Run one subcommand and return its exit status; UserError for a mistake in the words."""
+    try:
+        status = cli.main(list(arguments), prog_name="aoabench", standalone_mode=False)
+    except click.UsageError as error:
+        raise UserError(_usage(error, arguments)) from None
+    except click.ClickException as error:
+        raise UserError(error.format_message()) from None
+    except click.Abort:
+        raise KeyboardInterrupt from None
+    except _Passed as passed:
+        raise passed.args[0] from None
+    return status if isinstance(status, int) else 0
+
+
+def _usage(error: click.UsageError, arguments: Sequence[str]) -> str:
+    """The line about an option or argument that is unknown, missing or not allowed."""
+    ctx = error.ctx
+    command = next((f" {word}" for word in arguments if word in cli.commands), "")
+    path = ctx.command_path if ctx else f"aoabench{command}"
+    where = f"{name}: " if (name := path.partition(" ")[2]) else ""
+    text = error.format_message().rstrip(".")
+    if isinstance(error, click.NoSuchOption) and ctx:
+        known = [flag for parameter in ctx.command.get_params(ctx) for flag in parameter.opts]
+        text = f"unknown option {error.option_name}{did_you_mean(error.option_name, known)}"
+    elif isinstance(error, click.exceptions.NoSuchCommand):
+        known = [name for name, command in cli.commands.items() if not command.hidden]
+        hint = did_you_mean(error.command_name, known) or f"; allowed: {', '.join(known)}"
+        text = f"unknown command {error.command_name!r}{hint}"
+    elif isinstance(error, click.BadOptionUsage):
+        text = f"{error.option_name} needs a value"
+    elif isinstance(error, click.BadParameter) and error.param and ctx:
+        text = f"{_named(error.param, ctx)}: {error.message.rstrip('.')}"
+        if isinstance(error, click.MissingParameter):
+            text = f"{_named(error.param, ctx)} is missing: {_help_of(error.param)}"
+    mark = "" if text.endswith("?") else ";"
+    return f"{where}{shorten(text, 1000)}{mark} see `{path} --help`"
+
+
+def _named(parameter: click.Parameter, ctx: click.Context) -> str:
+    """The flag, or the word that stands for an argument."""
+    flags = [flag for flag in parameter.opts if flag.startswith("--")]
+    return flags[0] if flags else parameter.make_metavar(ctx).strip("[].")
+
+
+def _help_of(parameter: Any) -> str:
+    return (parameter.help or "").rstrip(".").lower()
+
+
+def _complain(line: str) -> None:
+    with suppress(OSError):  # a terminal that has hung up
+        print(f"aoabench: {' '.join(line.split())}", file=sys.stderr)
+
+
+@contextmanager
+def _signals() -> Iterator[list[signal.Signals]]:
+    """Take SIGTERM and SIGHUP as Ctrl-C is taken; yields the list of what was received.
+
+    Signals that are ignored, as SIGHUP under nohup, stay so.
+    """
+    received: list[signal.Signals] = []
+
+    def stop(number: int, _frame: object) -> None:
+        received.append(signal.Signals(number))
+        raise KeyboardInterrupt
+
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    mine = threading.current_thread() is threading.main_thread()
+    before = {
+        number: signal.signal(number, stop)
+        for number in (getattr(signal, name) for name in names)
+        if mine and signal.getsignal(number) is signal.SIG_DFL
     }
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
-        print(_HELP)
-        return 0
-    if arguments[0] == "--version":
-        from aoabench import __version__
-
-        print(f"aoabench {__version__}")
-        return 0
-    if arguments[0] not in commands:
-        from aoabench.errors import did_you_mean
-
-        hint = did_you_mean(arguments[0], commands) or f"; allowed: {', '.join(commands)}"
-        raise UserError(f"unknown command {arguments[0]!r}{hint}")
-    return commands[arguments[0]](arguments[1:])
-
-
-_HELP = """\
-aoabench: Monte Carlo benchmark of angle-of-arrival (AoA) positioning
-
-  aoabench list
-      the presets: scenarios, noises, filters, estimators, experiments
-  aoabench run [OVERRIDES]
-      simulate one cell: aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
-  aoabench run -m [OVERRIDES]
-      sweep, e.g. ... -m noise.sigma_deg=2,5,10 (Hydra multirun; run --help says more)
-  aoabench compare RUN [--baseline NAME] [--metric NAME]
-      paired comparison of the estimators of a run
-  aoabench collect RUN
-      make the tables of a run again from its parts (every run ends so)
-  aoabench replay RUN --replication N --estimator NAME
-      repeat one replication with its trace
-  aoabench reproduce [STUDY ...] [--scale quick|paper] [--only ITEM]
-      tables and figures of the studies
-  aoabench report [--format pdf|svg]
-      draw figures and page again from the stored tables
-
-RUN is the folder of a run (runner.out).
-Exit status: 0 done, 2 a mistake in the input, 1 anything else."""
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

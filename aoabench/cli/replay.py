@@ -3,34 +3,54 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
-from aoabench.cli.common import Parser
+import click
+
+from aoabench.cli.common import Choice, Command, estimator_names, run_argument
 
 
-def replay(arguments: Sequence[str]) -> int:
-    """`aoabench replay`: repeat one replication of a run, write its trace and a picture of it."""
-    from aoabench.config.plugins import parse_plugins
+@click.command(cls=Command)
+@run_argument
+@click.option(
+    "--replication", type=int, required=True, metavar="N", help="Number of the replication, >= 0."
+)
+@click.option(
+    "--estimator", required=True, shell_complete=estimator_names, help="Name of the estimator."
+)
+@click.option("--cell", help="Cell of the run, if it has several.")
+@click.option(
+    "--plugins", default="", help="Packages of your own that the run used, with commas between."
+)
+@click.option(
+    "--export",
+    type=Choice(["csv", "parquet"]),
+    help="Write measurements and anchors too, as files that scenario=recorded reads.",
+)
+def replay(
+    run: Path,
+    replication: int,
+    estimator: str,
+    cell: str | None,
+    plugins: str,
+    export: str | None,
+) -> None:
+    """Repeat one replication of a run with its trace.
+
+    The trace (truth, measurements, estimates, covariances) and a picture of it are written below
+    the folder of the run.
+
+    \b
+    Example:
+      aoabench replay results/raw/sigma --replication 7 --estimator ekf_vmf
+
+    `aoabench run --worst N` prints the commands for the N worst replications.
+    """
+    from aoabench.config.plugins import package_names
     from aoabench.engine import replay_files
     from aoabench.engine.replay import replay as repeat
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
-
-    parser = Parser(
-        prog="aoabench replay", description="Repeat one replication of a run with its trace."
-    )
-    parser.add_argument("run", help="folder of a run (runner.out)")
-    parser.add_argument("--replication", type=int, required=True, help="its number, >= 0")
-    parser.add_argument("--estimator", required=True, help="name of the estimator")
-    parser.add_argument("--cell", help="cell of the run, if it has several")
-    parser.add_argument(
-        "--plugins", default="", help="packages of your own that the run used, with commas"
-    )
-    formats = "measurements and anchors too, as files that scenario=recorded reads"
-    parser.add_argument("--export", choices=["csv", "parquet"], help=formats)
-    given = parser.parse_args(list(arguments))
-    plugins = parse_plugins([f"plugins={given.plugins}"])
-    done = repeat(Path(given.run), given.replication, given.estimator, given.cell, plugins)
-    print(replay_files.write(done, given.export))
-    return 0
+    packages = package_names(name.strip() for name in plugins.split(",") if name.strip())
+    done = repeat(run, replication, estimator, cell, packages)
+    print(replay_files.write(done, export))

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
-from aoabench.cli.common import Parser, formats, results_options
+import click
+
+from aoabench.cli.common import Command, formats, json_option, print_json, results_options, say
+from aoabench.cli.show import studies_json
 
 
-def report(arguments: Sequence[str]) -> int:
-    """`aoabench report`: figures and page from the stored tables; nothing is simulated."""
+@click.command(cls=Command)
+@results_options
+@json_option
+def report(results: Path, format_: str | None, as_json: bool) -> None:
+    """Draw figures and page again from stored tables.
+
+    Nothing is simulated.
+
+    \b
+    Examples:
+      aoabench report
+      aoabench report --format pdf
+
+    With --json: `results`, the folder; `verdicts`, a row for each printed number or claim;
+    `not_computed`, the items without a table, and why; `page`, its path.
+    """
     from aoabench.studies import reproduce as reproducing
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
-
-    parser = Parser(
-        prog="aoabench report", description="Draw figures and page again from the stored tables."
-    )
-    results_options(parser)
-    given = parser.parse_args(list(arguments))
-    reproducing.draw(reproducing.all_studies(), Path(given.results), print, formats=formats(given))
-    return 0
+    drawn = reproducing.draw(reproducing.all_studies(), results, say, formats=formats(format_))
+    if as_json:
+        print_json(studies_json(drawn, results))

@@ -3,32 +3,80 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
-from aoabench.cli.common import Parser, formats, results_options
+import click
+from click.shell_completion import CompletionItem
+
+from aoabench.cli.common import (
+    Choice,
+    Command,
+    formats,
+    json_option,
+    print_json,
+    results_options,
+    say,
+)
+from aoabench.cli.show import studies_json
 
 
-def reproduce(arguments: Sequence[str]) -> int:
-    """`aoabench reproduce`: compute the studies' items, then draw figures, tables and page."""
+def _studies(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    from aoabench.studies import study
+
+    given = ctx.params.get("study") or ()
+    names = [name for name in study.names() if name not in given]
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+def _items(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    from aoabench.studies import study
+
+    given = (*(ctx.params.get("study") or ()), *ctx.args)  # in args, while a flag has no value
+    chosen = [name for name in given if name in study.names()]
+    names = {item.name for name in chosen or study.names() for item in study.load(name).items}
+    return [CompletionItem(name) for name in sorted(names) if name.startswith(incomplete)]
+
+
+@click.command(cls=Command)
+@click.argument("study", nargs=-1, shell_complete=_studies, help="All studies if none is named.")
+@click.option(
+    "--scale",
+    type=Choice(["quick", "medium", "paper"]),
+    default="quick",
+    show_default=True,
+    help="quick: minutes; medium: some twenty minutes; paper: as many replications as the paper.",
+)
+@click.option(
+    "--only", metavar="ITEM", shell_complete=_items, help="One table or figure, e.g. table1."
+)
+@results_options
+@json_option
+def reproduce(
+    study: tuple[str, ...],
+    scale: str,
+    only: str | None,
+    results: Path,
+    format_: str | None,
+    as_json: bool,
+) -> None:
+    """Compute the tables and figures of the studies.
+
+    Each printed number or claim is compared with ours, and gets a verdict.
+
+    \b
+    Examples:
+      aoabench reproduce
+      aoabench reproduce nurminen2018 --scale paper
+      aoabench reproduce le2021 --only fig5
+
+    With --json: `scale`, `results`, the folder; `items`, what was computed: study, item, rows,
+    seconds; `verdicts`, a row for each printed number or claim; `not_computed`, the items without a
+    table, and why; `page`, its path.
+    """
     from aoabench.studies import reproduce as reproducing
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
-
-    parser = Parser(
-        prog="aoabench reproduce", description="Regenerate the tables and figures of the studies."
-    )
-    parser.add_argument("study", nargs="*", help="all if none is named")
-    parser.add_argument(
-        "--scale",
-        default="quick",
-        choices=["quick", "medium", "paper"],
-        help="quick: minutes; medium: some 20; paper: the paper's counts",
-    )
-    parser.add_argument("--only", metavar="ITEM", help="one table or figure, e.g. table1")
-    results_options(parser)
-    given = parser.parse_args(list(arguments))
-    reproducing.reproduce(
-        given.study, given.scale, given.only, Path(given.results), print, formats(given)
-    )
-    return 0
+    done = reproducing.reproduce(study, scale, only, results, say, formats(format_))
+    if as_json:
+        items = {"scale": scale, "items": done.computed}
+        print_json({**items, **studies_json(done.drawn, results)})

@@ -4,106 +4,167 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from aoabench.cell import Cell
-from aoabench.cli.common import Parser
-from aoabench.cli.show import print_run, print_worst
-from aoabench.errors import check_number
+import click
+
+from aoabench.cli.common import Choice, Command, json_option, print_json, say
+from aoabench.cli.complete import override_items
+from aoabench.errors import UserError, check_number, did_you_mean
+
+if TYPE_CHECKING:
+    from aoabench.cell import Cell
 
 
-def run(arguments: Sequence[str]) -> int:
-    """`aoabench run`: every job is composed and validated first, then all are computed together."""
+class _Run(Command):
+    """`run`, whose help ends with the presets and the default config."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        from aoabench.config import compose
+        from aoabench.config.presets import GROUPS, options
+
+        folder = ctx.params.get("config_dir")
+        config = compose.show([], folder)
+        with formatter.section("Presets, GROUP=NAME"):
+            for group in GROUPS:
+                formatter.write_text(f"{group}: {', '.join(options(group, folder))}")
+        with formatter.section("Config, KEY=VALUE"):
+            for line in config.splitlines():
+                formatter.write(f"  {line}\n")
+
+
+@click.command("run", cls=_Run, add_help_option=False)
+@click.argument(
+    "words",
+    metavar="[OVERRIDES]...",
+    nargs=-1,
+    type=click.UNPROCESSED,
+    shell_complete=override_items,
+    help="GROUP=NAME chooses a preset, GROUP=[NAME,NAME] several filters or estimators, KEY=VALUE "
+    "sets a key, ~KEY deletes it.",
+)
+@click.option(
+    "-m",
+    "--multirun",
+    is_flag=True,
+    help="Sweep: KEY=VALUE,VALUE makes a cell of each combination; range() and glob() too.",
+)
+@click.option("-c", "--cfg", type=Choice(["job"]), help="Print the composed config; run nothing.")
+@click.option("-p", "--package", default="", metavar="KEY", help="With --cfg: only this part.")
+@click.option("--resolve", is_flag=True, help="With --cfg: resolve the interpolations.")
+@click.option(
+    "--config-dir",
+    "-cd",
+    type=click.Path(),
+    help="A folder with configs of your own (DIR/filter/mine.yaml), added to the shipped ones.",
+)
+@click.option(
+    "--worst",
+    type=int,
+    default=0,
+    metavar="N",
+    help="Name the N worst replications, each with the command that replays it.",
+)
+@json_option
+@click.option("-h", "--help", "wants_help", is_flag=True, help="Show this message and exit.")
+@click.pass_context
+def run(
+    ctx: click.Context,
+    words: tuple[str, ...],
+    multirun: bool,
+    cfg: str | None,
+    package: str,
+    resolve: bool,
+    config_dir: str | None,
+    worst: int,
+    as_json: bool,
+    wants_help: bool,
+) -> None:
+    """Simulate one cell, or with -m a sweep over cells.
+
+    All jobs are composed and validated first, then computed together. Every replication is kept in
+    the folder runner.out; what an earlier run has computed into it is reused. File names need no
+    more quotes than the shell's: 'scenario.path=my log (1).csv'.
+
+    \b
+    Examples:
+      aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
+      aoabench run -m noise.sigma_deg=2,5,10 'filter=[ekf_vmf,ekf_ae_nominal]' \\
+          runner.out=results/raw/sigma
+      aoabench run -m experiment=nurminen2018_frames reps=500
+
+    With --json: `out`, the folder; `seconds`, `computed`, `reused`; `cells`, each with its
+    `config`; `summary`, the rows of summary.parquet with the swept parameters; `errors`,
+    `precision`, `damaged`; `notes`, remarks about the input; `figures` of a recording; `worst`,
+    with --worst.
+    """
+    if wants_help:
+        click.echo(ctx.get_help())
+        return
+    check_number("--worst", worst, least=0, integer=True)
+    _refuse_flags(words, ctx.command)
+    if cfg:
+        from aoabench.config import compose
+
+        print(compose.show(words, config_dir, resolve, package, multirun), end="")
+        return
+    _simulate(words, multirun, config_dir, worst, as_json)
+
+
+def _refuse_flags(words: Sequence[str], command: click.Command) -> None:
+    """Raise UserError for a word that is a flag without its dashes."""
+    flags = {
+        flag.lstrip("-"): flag
+        for parameter in command.params
+        for flag in parameter.opts
+        if flag.startswith("--")
+    }
+    for word in words:
+        if word in flags:
+            raise UserError(
+                f"{word!r} is not an override{did_you_mean(flags[word], [flags[word]])}"
+            )
+
+
+def _simulate(
+    words: Sequence[str], sweep: bool, config_dir: str | None, n_worst: int, as_json: bool
+) -> None:
+    """Compose, run, and print what was found."""
+    from aoabench.cli import show
     from aoabench.config import compose
     from aoabench.engine import runner
 
-    parser = Parser(prog="aoabench run", add_help=False, allow_abbrev=False)
-    parser.add_argument("-m", "--multirun", action="store_true")
-    parser.add_argument("-c", "--cfg", choices=["job"])
-    parser.add_argument("-p", "--package", default="")
-    parser.add_argument("--resolve", action="store_true")
-    parser.add_argument("-h", "--help", action="store_true")
-    parser.add_argument("-cd", "--config-dir")
-    parser.add_argument("--worst", type=int, default=0, metavar="N")
-    overrides = [a for a in arguments if a.startswith("~") or ("=" in a and not a.startswith("-"))]
-    given = parser.parse_args([a for a in arguments if a not in overrides])
-    check_number("--worst", given.worst, least=0, integer=True)
-    if given.help:
-        print(_run_help(given.config_dir))
-        return 0
-    if given.cfg:
-        print(
-            compose.show(overrides, given.config_dir, given.resolve, given.package, given.multirun),
-            end="",
-        )
-        return 0
-    cells = compose.compose_cells(overrides, config_dir=given.config_dir, sweep=given.multirun)
-    for line in dict.fromkeys(line for cell in cells for line in cell.notes):
+    cells = compose.compose_cells(words, config_dir=config_dir, sweep=sweep)
+    notes = list(dict.fromkeys(line for cell in cells for line in cell.notes))
+    for line in notes:
         print(line, file=sys.stderr)
-    done = runner.run(cells)
-    print_run(done, cells)
-    for cell in {cell.id: cell for cell in cells if cell.scenario.recorded is not None}.values():
-        _draw_recording(done.out, cell)
-    if given.worst:
-        print_worst(done.out, cells, given.worst)
-    return 0
+    found = show.finished(runner.run(cells), cells)
+    figures = list(_figures(found.report.out, found.cells.values()))
+    worst = show.worst(found, n_worst) if n_worst else []
+    if as_json:
+        rest = {"notes": notes, "figures": figures, "worst": worst}
+        print_json({**show.run_json(found), **rest})
+        return
+    for line in show.run_text(found):
+        say(line)
+    for path in figures:
+        say(f"figure: {path}")
+    if n_worst:
+        print("\n".join(show.worst_text(worst)))
 
 
-def _draw_recording(out: Path, cell: Cell) -> None:
-    """Errors of a recording with ground truth as pictures."""
+def _figures(out: Path, cells: Iterable[Cell]) -> Iterator[Path]:
+    """Draw the errors of recordings with ground truth; the paths of the pictures."""
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
-    import numpy as np
+    for cell in cells:
+        scenario = cell.scenario
+        if scenario.recorded is not None:
+            import numpy as np
 
-    from aoabench.report import campaign
+            from aoabench.report import campaign
 
-    scenario = cell.scenario
-    truth, anchors = (
-        scenario.truth(np.random.default_rng(0))[:, :2],
-        scenario.true_anchors.frames[0][0, :, :2],
-    )
-    for path in campaign.write(
-        out, cell.id, list(cell.estimators), truth, anchors, scenario.bounds_m
-    ):
-        print(f"figure: {path}")
-
-
-_RUN_HELP = """\
-aoabench run: simulate one cell, or with -m a sweep over cells,
-and keep every replication in Parquet.
-
-== Options: GROUP=NAME; several filters or estimators: 'filter=[NAME,NAME]' ==
-
-{options}
-
-== Config: override anything as KEY=VALUE ==
-
-{config}
-== Flags ==
-
--m, --multirun      sweep: KEY=VALUE,VALUE makes a cell of each combination
-                    (Hydra's syntax, range() and glob() too)
--c job, --cfg job   show the composed config;
-                    with --resolve its interpolations too, with -p KEY a part of it
---worst N           name the N worst replications of the run, each with the command that replays it
---config-dir DIR    a folder with configs of your own (DIR/filter/mine.yaml ...),
-                    appended to the shipped ones
-
-== Examples ==
-
-aoabench run noise=vmf 'filter=[ekf_vmf,ukf_vmf]' reps=200
-aoabench run -m noise.sigma_deg=2,5,10 'filter=[ekf_vmf,ekf_ae_nominal]' \\
-    runner.out=results/raw/sigma
-aoabench run -m experiment=nurminen2018_frames reps=500
-
-`aoabench list` says what each option is."""
-
-
-def _run_help(config_dir: str | None) -> str:
-    from aoabench.config import compose
-    from aoabench.config.presets import GROUPS, options
-
-    listed = "\n".join(
-        f"{group}: {', '.join(options(group, config_dir)) or '(none yet)'}" for group in GROUPS
-    )
-    return _RUN_HELP.format(options=listed, config=compose.show([], config_dir))
+            truth = scenario.truth(np.random.default_rng(0))[:, :2]
+            places = truth, scenario.true_anchors.frames[0][0, :, :2], scenario.bounds_m
+            yield from campaign.write(out, cell.id, list(cell.estimators), *places)

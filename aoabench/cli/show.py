@@ -1,104 +1,194 @@
-"""The text that `aoabench run` prints about a finished run."""
+"""What the command line shows of a finished run or of the studies: as text and as JSON, from the
+same tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from aoabench.cell import Cell
 
-def print_run(done: Any, cells: Sequence[Any]) -> None:
+if TYPE_CHECKING:
     import pandas as pd
 
-    out = done.out
-    rate = f", {done.computed / done.seconds:,.0f}/s" if done.computed else ""
-    print(
-        f"{len({c.id for c in cells})} cells: {done.computed} replications x estimators computed, "
-        f"{done.reused} reused, {done.seconds:.1f} s{rate}"
-    )
-    summary = pd.read_parquet(out / "summary.parquet")
-    asked = {(c.id, name) for c in cells for name in c.estimators}
-    mine = summary[[pair in asked for pair in zip(summary["cell"], summary["estimator"])]]
+    from aoabench.engine.runner import RunReport
+    from aoabench.studies.reproduce import Drawn
+
+_NO_PARAMETERS = ("experiment", "scenario", "noise", "seed", "estimators", "config")
+_MOST_ROWS = 60
+_RMSE = (("rmse_pooled_3d_m", "RMSE 3-D [m]"), ("rmse_pooled_xy_m", "RMSE xy [m]"))
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A finished run as far as the command asked for it.
+
+    `summary` has the rows of summary.parquet with the cells' `parameters` as columns, `errors` what
+    exceptions said, a text for each replication.
+    """
+
+    report: RunReport
+    cells: Mapping[str, Cell]
+    summary: pd.DataFrame
+    parameters: list[str]
+    errors: list[str]
+
+
+def finished(report: RunReport, cells: Sequence[Cell]) -> Finished:
+    """Read the tables of a run; of cells and estimators that other commands computed, nothing."""
+    import pandas as pd
+
+    out = report.out
+    summary = _asked(pd.read_parquet(out / "summary.parquet"), cells)
     table = pd.read_parquet(out / "cells.parquet")
-    extra = [
-        c
-        for c in table.columns
-        if c not in ("experiment", "scenario", "noise", "seed", "estimators", "config")
-    ]
-    mine = mine.merge(table[extra], on="cell")
-    swept = [c for c in extra if c != "cell" and mine[c].nunique(dropna=False) > 1]
-    shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
-    for name, title in (("rmse_pooled_3d_m", "RMSE 3-D [m]"), ("rmse_pooled_xy_m", "RMSE xy [m]")):
-        shown[title] = [f"{v:.4g} ± {s:.1g}" for v, s in zip(mine[name], mine[f"{name}_se"])]
-    shown["failed"] = [f"{v:.1%}" for v in mine["failure_rate"]]
-    shown["fixes ok"] = [f"{v:.2%}" for v in mine["share_ok"]]
-    print(shown.to_string(index=False, max_rows=60))
-    failures = pd.read_parquet(out / "failures.parquet")
-    told = failures.loc[
-        [pair in asked for pair in zip(failures["cell"], failures["estimator"])], "error"
-    ].dropna()
-    if len(told):
-        print(
-            f"exceptions and NaN in {len(told)} replications, e.g. {told.iloc[0]}; "
+    parameters = [c for c in table.columns if c not in (*_NO_PARAMETERS, "cell")]
+    failures = _asked(pd.read_parquet(out / "failures.parquet"), cells)
+    return Finished(
+        report=report,
+        cells={cell.id: cell for cell in cells},
+        summary=summary.merge(table[["cell", *parameters]], on="cell"),
+        parameters=parameters,
+        errors=list(failures["error"].dropna()),
+    )
+
+
+def _asked(frame: pd.DataFrame, cells: Sequence[Cell]) -> pd.DataFrame:
+    """The rows of the cells' own estimators."""
+    asked = {(cell.id, name) for cell in cells for name in cell.estimators}
+    return frame.loc[[pair in asked for pair in zip(frame["cell"], frame["estimator"])]]
+
+
+def run_text(found: Finished) -> Iterator[str]:
+    """A finished run as lines for a terminal."""
+    report = found.report
+    out, count = report.out, len(found.cells)
+    rate = f", {report.computed / report.seconds:,.0f}/s" if report.computed else ""
+    yield (
+        f"{count} cell{'s' if count != 1 else ''}: {report.computed} replications x estimators "
+        f"computed, {report.reused} reused, {report.seconds:.1f} s{rate}"
+    )
+    yield _table(found)
+    if found.errors:
+        yield (
+            f"exceptions and NaN in {len(found.errors)} replications, e.g. {found.errors[0]}; "
             f"see {out}/failures.parquet"
         )
-    if done.precision:
-        _print_precision(done.precision)
-    print(
-        f"tables: {out}/{{tidy,replications,cells,summary,timing}}.parquet    "
+    if report.precision:
+        yield from _precision(report.precision)
+    steps = ",steps" if (out / "steps.parquet").exists() else ""
+    yield (
+        f"tables: {out}/{{tidy,replications,cells,summary,timing{steps}}}.parquet    "
         f"in Python: aoabench.load({str(out)!r})"
     )
 
 
-def _print_precision(rows: Sequence[Any]) -> None:
-    """What was asked for with until.*, and what was reached."""
+def _table(found: Finished) -> str:
+    """A line for each cell and estimator, with the parameters that differ between cells."""
+    mine = found.summary
+    swept = [c for c in found.parameters if mine[c].nunique(dropna=False) > 1]
+    shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
+    for name, title in _RMSE:
+        shown[title] = [f"{v:.4g} ± {s:.1g}" for v, s in zip(mine[name], mine[f"{name}_se"])]
+    shown["failed"] = [f"{v:.1%}" for v in mine["failure_rate"]]
+    shown["fixes ok"] = [f"{v:.2%}" for v in mine["share_ok"]]
+    return str(shown.to_string(index=False, max_rows=_MOST_ROWS))
+
+
+def _precision(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The precision that until.* asked for, and where it was not reached."""
     first, short = rows[0], [row for row in rows if not row["reached"]]
     wanted = [f"{first['wanted_se']:g}"] if first["wanted_se"] else []
     wanted += (
         [f"{first['wanted_relative_se']:.3g} of the mean"] if first["wanted_relative_se"] else []
     )
-    print(
+    yield (
         f"{first['metric']} until its standard error is at most {' and '.join(wanted)}: reached by "
         f"{len(rows) - len(short)} of {len(rows)} (precision.parquet)"
     )
     for row in short[:20]:
-        print(
+        yield (
             f"  not reached: cell {row['cell']} {row['estimator']}: {row['mean']:.4g} "
             f"± {row['se']:.2g} after {row['replications']} replications"
         )
 
 
-def print_worst(out: Path, cells: Sequence[Any], n: int) -> None:
-    """The worst replications: those without a position first, then by their RMSE; how many medians
-    that is.
+def run_json(found: Finished) -> dict[str, Any]:
+    """A finished run as the object that `aoabench run --json` prints."""
+    report = found.report
+    return {
+        "out": report.out,
+        "seconds": report.seconds,
+        "computed": report.computed,
+        "reused": report.reused,
+        "damaged": report.damaged,
+        "cells": [
+            {
+                "cell": cell.id,
+                "experiment": cell.experiment,
+                "scenario": cell.scenario_name,
+                "noise": cell.noise_name,
+                "seed": cell.seed,
+                "replications": cell.reps,
+                "config": cell.config,
+            }
+            for cell in found.cells.values()
+        ],
+        "summary": found.summary.to_dict("records"),
+        "errors": {"replications": len(found.errors), "first": next(iter(found.errors), None)},
+        "precision": report.precision,
+    }
+
+
+def worst(found: Finished, n: int) -> list[dict[str, Any]]:
+    """The n worst replications: those without a position first, then by their RMSE.
+
+    Each has cell, noise, estimator, replication, rmse_3d_m, times_median (of its estimator),
+    outcome and the command that replays it.
     """
     from aoabench.store import folder, tables
 
-    frame = tables.load(out)
-    asked = {(c.id, name) for c in cells for name in c.estimators}
-    frame = frame[[pair in asked for pair in zip(frame["cell"], frame["estimator"])]]
+    out = found.report.out
+    frame = _asked(tables.load(out), list(found.cells.values()))
     median = frame.groupby(["cell", "estimator"])["rmse_3d_m"].transform("median")
-    frame = frame.assign(times=frame["rmse_3d_m"] / median)
-    worst = frame.sort_values(
-        "rmse_3d_m", ascending=False, na_position="first", kind="stable"
-    ).head(n)
-    by_id = {c.id: c for c in cells}
-    print(f"the {len(worst)} worst replications, by RMSE 3-D:")
-    for row in worst.to_dict("records"):
-        cell = by_id[row["cell"]]
-        error = (
-            "no position" if row["rmse_3d_m"] != row["rmse_3d_m"] else f"{row['rmse_3d_m']:.4g} m"
-        )
-        times = (
-            f", {row['times']:.3g} times its estimator's median"
-            if row["times"] == row["times"]
-            else ""
-        )
-        print(
-            f"  {row['noise']} {row['estimator']} replication {row['replication']}: "
-            f"{error}{times}, {row['outcome']}"
-        )
+    frame = frame.assign(times_median=frame["rmse_3d_m"] / median)
+    frame = frame.sort_values("rmse_3d_m", ascending=False, na_position="first", kind="stable")
+    keys = ("cell", "noise", "estimator", "replication", "rmse_3d_m", "times_median", "outcome")
+    rows = []
+    for row in frame.head(n).to_dict("records"):
+        cell = found.cells[row["cell"]]
         again = folder.replay_command(
-            out, row["cell"], row["estimator"], row["replication"], cell.config, cell.plugins
+            out, cell.id, row["estimator"], row["replication"], cell.config, cell.plugins
         )
-        print(f"    {again}")
+        rows.append({key: row[key] for key in keys} | {"replay": again})
+    return rows
+
+
+def worst_text(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The worst replications as lines for a terminal."""
+    yield f"the {len(rows)} worst replications, by RMSE 3-D:"
+    for row in rows:
+        rmse, times = row["rmse_3d_m"], row["times_median"]
+        error = "no position" if rmse != rmse else f"{rmse:.4g} m"
+        more = f", {times:.3g} times its estimator's median" if times == times else ""
+        yield (
+            f"  {row['noise']} {row['estimator']} replication {row['replication']}: "
+            f"{error}{more}, {row['outcome']}"
+        )
+        yield f"    {row['replay']}"
+
+
+def studies_json(drawn: Drawn, results: Path) -> dict[str, Any]:
+    """Verdicts and files of the studies, as `reproduce` and `report` print them with --json."""
+    return {
+        "results": results,
+        "verdicts": drawn.verdicts.to_dict("records"),
+        "not_computed": [
+            {"study": study, "item": item, "reason": problem}
+            for (study, item), problem in drawn.problems.items()
+            if problem
+        ],
+        "page": drawn.page,
+    }

@@ -34,7 +34,7 @@ def build(
     plain: Mapping[str, Any],
     choices: Mapping[str, Any],
     *,
-    overrides: Sequence[str] = (),
+    keys: Sequence[str] = (),
     typed: Iterable[str] = (),
     plugins: Sequence[str] = (),
     changed: Mapping[str, Any] | None = None,
@@ -42,7 +42,7 @@ def build(
 ) -> Cell:
     """Validate one composed and resolved job and make its objects.
 
-    `choices` names the presets chosen, `overrides` the job's settings, `typed` the keys that the
+    `choices` names the presets chosen, `keys` what the job sets, `typed` the keys that the
     user's own command line sets and `plugins` the packages that it names, `changed` the estimators'
     parameters that differ from their presets, `extra` further estimators given as objects. Raises
     UserError for all that can be known before a run.
@@ -52,11 +52,10 @@ def build(
     runner = _runner(plain)
     _check_reach(runner, set(typed))
     scenario = as_scenario(construct(plain["scenario"], "scenario", plugins), "scenario")
-    plain, choices, notes = _as_recorded(plain, choices, scenario, overrides)
+    plain, choices, notes = _as_recorded(plain, choices, scenario, keys)
     noise = as_noise(construct(plain["noise"], "noise", plugins), "noise")
     estimators = _estimators(plain, plugins, choices.get("experiment")) | _extra(plain, extra or {})
     _check_fit(estimators, scenario, noise, choices)
-    keys = [o.partition("=")[0].lstrip("+") for o in overrides]
     groups = ("scenario", "noise", "filter", "estimator")
     return Cell(
         scenario_name=choices["scenario"],
@@ -102,7 +101,7 @@ def _as_recorded(
     plain: Mapping[str, Any],
     choices: Mapping[str, Any],
     scenario: Scenario,
-    overrides: Sequence[str],
+    keys: Sequence[str],
 ) -> tuple[Mapping[str, Any], Mapping[str, Any], tuple[str, ...]]:
     """The job with the recording for its noise and no more replications than it has; and lines
     about it.
@@ -110,7 +109,6 @@ def _as_recorded(
     if scenario.recorded is None:
         return plain, choices, scenario.notes
     notes = [*scenario.notes]
-    keys = [override.partition("=")[0].lstrip("+") for override in overrides]
     if any(key.split(".")[0] == "noise" for key in keys):
         notes.append("noise is not used: scenario.path has the measurements")
     reps = min(plain["reps"], scenario.replications or plain["reps"])

@@ -15,9 +15,10 @@ from aoabench.cell import Cell
 from aoabench.config.build import build
 from aoabench.config.guard import refuse_foreign_hydra, refuse_hydra
 from aoabench.config.messages import explained, first_line
+from aoabench.config.overrides import Setting, jobs, read
 from aoabench.config.plugins import parse_plugins
 from aoabench.config.presets import options
-from aoabench.errors import UserError
+from aoabench.errors import UserError, shorten
 from aoabench.maths.digest import flatten
 from aoabench.resources import shipped
 
@@ -37,47 +38,56 @@ def compose_cells(
     mistake.
     """
     from hydra import compose
-    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    overrides = list(overrides) + ([f"plugins=[{','.join(plugins)}]"] if plugins else [])
-    allowed = parse_plugins(overrides)
-    with hydra_initialised(config_dir), explained(overrides, config_dir):
-        parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
-        parsed = parser.parse_overrides(overrides)
-        for override in parsed:
-            refuse_hydra(str(override.input_line))
-            if override.is_sweep_override() and not sweep:
-                raise UserError(
-                    f"{override.input_line}: several values are a sweep; "
-                    "add -m, or brackets for one list"
-                )
-        typed = [str(o.key_or_group) for o in parsed]
-        plain = [str(o.input_line) for o in parsed if not o.is_sweep_override()]
-        jobs = [plain]
-        if sweep:
-            base = compose("config", overrides=plain, return_hydra_config=True)
-            own = [f"{key}={value}" for key, value in (base.hydra.sweeper.params or {}).items()]
-            for line in own:
-                refuse_hydra(line)
-                if parse_plugins([line]):
-                    raise UserError(
-                        f"{line}: only plugins=[...] on the command line can name plugins"
-                    )
-            jobs = BasicSweeper.split_arguments(parser.parse_overrides([*own, *overrides]), None)[0]
-        if not jobs:
-            raise UserError(
-                f"{' '.join(overrides)}: the sweep is empty; "
-                "allowed: at least one value for each key"
-            )
+    named = [f"plugins=[{','.join(plugins)}]"] if plugins else []
+    settings = _checked([*overrides, *named], sweep)
+    allowed = parse_plugins(settings)
+    with hydra_initialised(config_dir), explained(settings, config_dir):
+        swept = [*_own_sweep(settings), *settings] if sweep else settings
+        keys = tuple(dict.fromkeys(s.key for s in swept if not s.is_deletion))
+        typed = [s.key for s in settings]
         cells = []
-        for job in jobs:
+        for job in jobs(swept):
             cfg = compose("config", overrides=job, return_hydra_config=True)
-            cells.append(_cell(cfg, job, typed, allowed, extra, config_dir))
+            cells.append(_cell(cfg, keys, typed, allowed, extra, config_dir))
+    if not cells:
+        raise UserError(
+            f"{' '.join(shorten(s.word) for s in settings)}: the sweep is empty; "
+            "allowed: at least one value for each key"
+        )
     if len({cell.runner for cell in cells}) > 1:
         raise UserError("runner, store and until cannot be swept: the cells of one run share them")
     return cells
+
+
+def _checked(words: Sequence[str], sweep: bool) -> list[Setting]:
+    """The overrides, none of which reaches Hydra's own node; several values only in a `sweep`."""
+    settings = read(words, sweep)
+    for setting in settings:
+        refuse_hydra(setting)
+        if setting.is_sweep and not sweep:
+            raise UserError(
+                f"{shorten(setting.word)}: several values are a sweep; "
+                "add -m, or brackets for one list"
+            )
+    return settings
+
+
+def _own_sweep(settings: Sequence[Setting]) -> list[Setting]:
+    """The sweep that the chosen experiment brings along. Call it where Hydra is initialised."""
+    from hydra import compose
+
+    plain = [s.line for s in settings if not s.is_sweep]
+    base = compose("config", overrides=plain, return_hydra_config=True)
+    params = base.hydra.sweeper.params or {}
+    own = read(f"{key}={value}" for key, value in params.items())
+    for setting in own:
+        refuse_hydra(setting)
+        if setting.key == "plugins":
+            raise UserError(
+                f"{shorten(setting.word)}: only plugins=[...] on the command line can name plugins"
+            )
+    return own
 
 
 def show(
@@ -91,18 +101,11 @@ def show(
     common.
     """
     from hydra import compose
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.override_parser.overrides_parser import OverridesParser
     from omegaconf import OmegaConf
 
-    with hydra_initialised(config_dir), explained(overrides, config_dir):
-        for override in overrides:
-            refuse_hydra(override)
-        parsed = OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(
-            list(overrides)
-        )
-        plain = [str(o.input_line) for o in parsed if not (sweep and o.is_sweep_override())]
-        cfg = compose("config", overrides=plain)
+    settings = _checked(overrides, sweep)
+    with hydra_initialised(config_dir), explained(settings, config_dir):
+        cfg = compose("config", overrides=[s.line for s in settings if not s.is_sweep])
         part = OmegaConf.select(cfg, package) if package else cfg
         if part is None:
             raise UserError(f"--package={package}: no such part of the config")
@@ -113,7 +116,7 @@ def show(
 
 def _cell(
     cfg: Any,
-    job: Sequence[str],
+    keys: Sequence[str],
     typed: Sequence[str],
     plugins: Sequence[str],
     extra: Mapping[str, Any] | None,
@@ -133,7 +136,7 @@ def _cell(
     choices = dict(cfg.hydra.runtime.choices)
     changed = _changed(raw, plain, config_dir)
     return build(
-        plain, choices, overrides=job, typed=typed, plugins=plugins, changed=changed, extra=extra
+        plain, choices, keys=keys, typed=typed, plugins=plugins, changed=changed, extra=extra
     )
 
 

@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from aoabench.config.messages import first_line
+from aoabench.config.overrides import Setting
 from aoabench.config.presets import GROUPS, options
-from aoabench.errors import UserError
+from aoabench.errors import UserError, shorten
 from aoabench.maths.digest import flatten
 
 
-def refuse_hydra(override: str) -> None:
-    """Raise UserError for an override that reaches Hydra's own node, or a file that was not looked
-    at.
+def refuse_hydra(setting: Setting) -> None:
+    """Raise UserError for an override that reaches Hydra's own node, or a preset in a file that was
+    not looked at.
     """
-    key, _, value = override.partition("=")
-    parts = [part.strip(" +~/") for part in key.replace("@", " ").replace(":", " ").split()]
-    if any(part.split(".")[0].split("/")[0] == "hydra" for part in parts):
+    parts = re.split(r"[./]", f"{setting.key}.{setting.package}")
+    word = shorten(setting.word)
+    if "hydra" in parts:
         raise UserError(
-            f"{override}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE"
+            f"{word}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE"
         )
-    if parts and "." not in parts[0] and (".." in value or "${" in value):
-        raise UserError(f"{override}: the name of a preset is needed; allowed: see `aoabench list`")
+    if "." not in setting.key and any(".." in text or "${" in text for text in setting.texts):
+        raise UserError(f"{word}: the name of a preset is needed; allowed: see `aoabench list`")
 
 
 def refuse_foreign_hydra(config_dir: str | None) -> None:

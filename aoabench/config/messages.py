@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from aoabench.config.overrides import Setting
 from aoabench.config.presets import GROUPS, options
-from aoabench.errors import UserError, did_you_mean
+from aoabench.errors import UserError, did_you_mean, shorten
 from aoabench.maths.digest import flatten
 
 
 @contextmanager
-def explained(overrides: Sequence[str], config_dir: str | None = None) -> Iterator[None]:
+def explained(settings: Sequence[Setting], config_dir: str | None = None) -> Iterator[None]:
     """Turn Hydra's and OmegaConf's exceptions into one clear line."""
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
@@ -21,38 +24,49 @@ def explained(overrides: Sequence[str], config_dir: str | None = None) -> Iterat
     except UserError:
         raise
     except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(_explain(error, overrides, config_dir)) from None
-    except (
-        ValueError,
-        TypeError,
-        AssertionError,
-    ) as error:  # Hydra's own: noise=null, range(1,5,0)
-        raise UserError(f"{' '.join(overrides)}: cannot be composed: {first_line(error)}") from None
+        raise UserError(_explain(error, settings, config_dir)) from None
+    except (ValueError, TypeError, AssertionError) as error:  # Hydra's own, e.g. of noise=null
+        raise UserError(_not_composed(error, settings)) from None
+    except OSError as error:  # Hydra's own, of the name of a preset
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        longest = max((s.word for s in settings), key=len, default="")
+        raise UserError(f"{shorten(longest)}: too long for a name") from None
 
 
-def _explain(error: Exception, overrides: Sequence[str], config_dir: str | None) -> str:
-    from hydra.errors import MissingConfigException, OverrideParseException
+def _explain(error: Exception, settings: Sequence[Setting], config_dir: str | None) -> str:
+    from hydra.errors import MissingConfigException
 
-    if isinstance(error, OverrideParseException):
-        return f"{error.override!r} cannot be read: {first_line(error)}"
     missing = getattr(error, "missing_cfg_file", None)
     if isinstance(error, MissingConfigException) and missing:
         group, _, name = str(missing).rpartition("/")
         known = list(getattr(error, "options", None) or options(group, config_dir))
         hint = did_you_mean(name, known)
         return (
-            f"{group or 'config'}={name!r}: unknown preset{hint or ';'} "
+            f"{group or 'config'}={shorten(repr(name))}: unknown preset{hint or ';'} "
             f"allowed: {', '.join(known) or 'none'}"
         )
     text = str(error)
-    for override in overrides:
-        key = override.partition("=")[0].lstrip("+~")
+    for setting in settings:
+        key = setting.key + (f"@{setting.package}" if setting.package else "")
+        word = shorten(setting.word)
+        if text.startswith(f"Error merging override {setting.line}") and error.__cause__:
+            return f"{word}: {first_line(error.__cause__)}"
         if f"'{key}'" in text or f"full_key: {key}" in text:
-            chosen = [
-                o.partition(",")[0] for o in overrides if o.startswith("scenario=")
-            ]  # the first of a sweep
-            return f"{override}: {_about_key(key, chosen, config_dir)}"
-    return f"{' '.join(overrides)}: {first_line(error)}"
+            chosen = [s.line.partition(",")[0] for s in settings if s.key == "scenario"]
+            return f"{word}: {_about_key(key, chosen, config_dir)}"
+        if f"{key} appears more than once" in text:
+            return f"{word}: one {key} is chosen already; allowed: {word.lstrip('+')}"
+    return _not_composed(error, settings)
+
+
+def _not_composed(error: Exception, settings: Sequence[Setting]) -> str:
+    """The message about an exception that names none of the overrides."""
+    for setting in settings:
+        if setting.key in GROUPS and not isinstance(setting.value, str | list):
+            return f"{shorten(setting.word)}: the name of a preset must be a string"
+    words = shorten(" ".join(shorten(s.word) for s in settings))
+    return f"{words}: cannot be composed: {first_line(error)}"
 
 
 def _about_key(key: str, chosen: Sequence[str], config_dir: str | None) -> str:
@@ -65,9 +79,11 @@ def _about_key(key: str, chosen: Sequence[str], config_dir: str | None) -> str:
         if name in options(head, config_dir):
             hint = did_you_mean(key, [k for k in known_keys(name, head) if k != key])
             return f"no such key, or {head} {name!r} is not selected: {head}=[{name}]{hint}"
-        return f"unknown {head} {name!r}{did_you_mean(name, options(head, config_dir))}"
+        return (
+            f"unknown {head} {shorten(repr(name))}{did_you_mean(name, options(head, config_dir))}"
+        )
     hint = did_you_mean(key, [k for k in known_keys(chosen=chosen) if k != key])
-    return f"unknown key {key!r}{hint or '; `aoabench run --cfg job` shows the keys'}"
+    return f"unknown key {shorten(repr(key))}{hint or '; `aoabench run --cfg job` shows the keys'}"
 
 
 def known_keys(
@@ -84,6 +100,14 @@ def known_keys(
     return [*keys, *GROUPS]
 
 
-def first_line(error: Exception) -> str:
+def first_line(error: BaseException) -> str:
+    """The first line of an exception's text, without names of classes."""
+    from omegaconf.errors import GrammarParseError
+
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[0] if lines else type(error).__name__
+    text = lines[0] if lines else "no reason is given"
+    if isinstance(error, GrammarParseError):
+        return "an interpolation ${...} in it cannot be read"
+    return shorten(
+        re.sub(r"^\w*(Error|Exception)( raised while resolving interpolation)?: ", "", text)
+    )

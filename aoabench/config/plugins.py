@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from aoabench.config.overrides import Setting
 from aoabench.errors import BadValue, UserError, did_you_mean
 
 PLUG_INS = tuple(
@@ -92,22 +93,27 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
         raise UserError(f"{path}: {error}") from None
 
 
-def parse_plugins(overrides: Sequence[str]) -> tuple[str, ...]:
-    """The packages that `plugins=[...]` among the user's own overrides names."""
+def parse_plugins(settings: Iterable[Setting]) -> tuple[str, ...]:
+    """The packages that `plugins=[...]` among the user's own overrides names; the last counts."""
     found: tuple[str, ...] = ()
-    for override in overrides:
-        key, _, value = override.partition("=")
-        if key.lstrip("+") == "plugins":
-            names = [name.strip(" '\"") for name in value.strip(" []").split(",") if name.strip()]
-            for name in names:
-                if not all(part.isidentifier() for part in name.split(".")):
-                    raise BadValue(
-                        "plugins",
-                        value,
-                        "a list of importable packages, e.g. plugins=[my_estimators]",
-                    )
-            found = tuple(names)
+    for setting in settings:
+        if setting.key == "plugins" and not setting.is_deletion:
+            value = [] if setting.value is None else setting.value
+            if not isinstance(value, list):
+                text = setting.texts[0]
+                raise BadValue("plugins", text, f"a list of importable packages: plugins=[{text}]")
+            found = package_names(value)
     return found
+
+
+def package_names(names: Iterable[object]) -> tuple[str, ...]:
+    """The names, if all of them can be imported as packages; else BadValue."""
+    given = tuple(str(name) for name in names)
+    for name in given:
+        if not all(part.isidentifier() for part in name.split(".")):
+            allowed = "a list of importable packages, e.g. plugins=[my_estimators]"
+            raise BadValue("plugins", ",".join(given), allowed)
+    return given
 
 
 def import_plugins(plugins: Sequence[str]) -> None:

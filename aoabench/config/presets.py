@@ -7,6 +7,7 @@ from pathlib import Path
 from aoabench.resources import shipped
 
 GROUPS = ("scenario", "noise", "filter", "estimator", "runner", "experiment")
+LISTS = ("filter", "estimator")  # groups of which several presets can be chosen
 
 
 def options(group: str, config_dir: str | None = None) -> dict[str, str]:

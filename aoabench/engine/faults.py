@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from aoabench.errors import RunError, UserError
+from aoabench.errors import RunError, UserError, shorten
 
 
 def tell(line: str) -> None:
@@ -57,6 +57,6 @@ def writable(folder: str, key: str = "runner.out") -> Path:
     except (OSError, ValueError, RuntimeError) as error:
         why = getattr(error, "strerror", None) or error
         raise UserError(
-            f"{key}={folder!r} cannot be written: {why}; allowed: a writable folder"
+            f"{key}={shorten(repr(folder))} cannot be written: {why}; allowed: a writable folder"
         ) from None
     return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,7 @@ def _exported(replay: Replay, path: Path, kind: str) -> str:
     save = measurements.to_csv if kind == "csv" else measurements.to_parquet
     write_atomically(log, lambda temporary: save(temporary, index=False))
     write_atomically(anchors, lambda temporary: known.to_csv(temporary, index=False))
-    words = [f"""'scenario.path="{log}"' 'scenario.anchors="{anchors}"'"""]
+    words = [shlex.join([f"scenario.path={log}", f"scenario.anchors={anchors}"])]
     height, bounds = replay.scenario.known_height_m, replay.scenario.bounds_m
     if height is not None:
         words.append(f"scenario.height_m={height}")

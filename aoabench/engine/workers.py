@@ -143,6 +143,8 @@ def _bar(total: int, shown: bool) -> Iterator[Any]:
     )
 
     console = Console(stderr=True)
+    # FORCE_COLOR makes rich take any file for a terminal
+    watched = shown and console.is_terminal and sys.stderr.isatty()
     columns = (
         TextColumn("replications"),
         BarColumn(),
@@ -150,9 +152,7 @@ def _bar(total: int, shown: bool) -> Iterator[Any]:
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
-    with Progress(
-        *columns, console=console, disable=not (shown and console.is_terminal), transient=True
-    ) as bar:
+    with Progress(*columns, console=console, disable=not watched, transient=True) as bar:
         line = bar.add_task("", total=total, rate="")
 
         def advance(n: int) -> None:

@@ -100,8 +100,8 @@ class GaussNewton(Compiled, Estimator):
         for _ in range(self.updates):
             if not len(active):
                 break
-            given = (a[active] for a in (x, azimuth, elevation, wa, we))
-            A, g = self.normal_equations(*given, anchors.at(active))
+            y = azimuth[active], elevation[active], wa[active], we[active]
+            A, g = self.normal_equations(x[active], *y, anchors.at(active))
             step = solve(A, g)
             count[active] += 1
             with np.errstate(invalid="ignore"):

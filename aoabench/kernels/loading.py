@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from types import ModuleType
 from typing import ClassVar
@@ -49,17 +49,38 @@ def load(name: str) -> ModuleType | None:
 
 
 def prepare(name: str, say: Callable[[str], None]) -> None:
-    """`load`, telling what takes long or what is missing."""
-    waiting = threading.Timer(
-        1.5, say, ["compiling kernels for this machine (once, about half a minute) ..."]
-    )
-    waiting.start()
-    try:
+    """`load`; `say` gets a line once numba compiles something, and where numba is missing.
+
+    What comes from the cache on disk is not compiled.
+    """
+    with _reporting("compiling kernels for this machine (once, about half a minute) ...", say):
         found = load(name)
-    finally:
-        waiting.cancel()
     if found is None:
         say(
             "numba is not installed: filters run in NumPy, "
             "particle filters some 50 times slower; pip install numba"
         )
+
+
+@contextmanager
+def _reporting(line: str, say: Callable[[str], None]) -> Iterator[None]:
+    """Say `line` when numba starts to compile for the first time in this context."""
+    try:
+        from numba.core import event
+    except ImportError:
+        yield
+        return
+
+    class Listener(event.Listener):
+        told = False
+
+        def on_start(self, event: object) -> None:
+            if not self.told:
+                self.told = True
+                say(line)
+
+        def on_end(self, event: object) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield

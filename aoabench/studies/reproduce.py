@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aoabench.config.compose import compose_cells
+from aoabench.config.overrides import file_setting
 from aoabench.engine import runner
 from aoabench.engine.faults import writable
 from aoabench.errors import UserError, did_you_mean
@@ -21,7 +23,29 @@ from aoabench.store.files import provenance, write_frame
 from aoabench.store.fixes import fixes
 from aoabench.studies import claims, page, reading, study
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 Echo = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What `draw` found: the verdicts of the named studies (see `claims.verdicts`), why an item has
+    no table (empty where it has one), and the path of the page.
+    """
+
+    verdicts: pd.DataFrame
+    problems: dict[tuple[str, str], str]
+    page: Path
+
+
+@dataclass(frozen=True)
+class Reproduced:
+    """What `reproduce` computed, a mapping (study, item, rows, seconds) for each item, and drew."""
+
+    computed: list[dict[str, Any]]
+    drawn: Drawn
 
 
 def all_studies() -> list[str]:
@@ -36,7 +60,7 @@ def reproduce(
     results: Path,
     echo: Echo,
     formats: Sequence[str] = ("png",),
-) -> None:
+) -> Reproduced:
     """Compute the items of the named studies (all if none is named) at a scale, then draw them.
 
     Raises UserError for an unknown study or item.
@@ -57,6 +81,7 @@ def reproduce(
             f"{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}"
         )
     writable(str(results), "--results")
+    computed = []
     for s, item in items:
         begin = time.perf_counter()
         frame, origin = compute(s, item, scale, results)
@@ -66,8 +91,12 @@ def reproduce(
             "seconds": round(time.perf_counter() - begin, 2),
         }
         write_frame(study.table_path(results, s, item), frame, origin)
+        row = {"study": s.name, "item": item.name, "rows": len(frame)}
+        computed.append({**row, "seconds": origin["seconds"]})
         echo(f"{s.name} {item.name}: {len(frame)} rows, {origin['seconds']:.1f} s ({scale})")
-    draw([s.name for s in chosen], results, echo, {item.name for _, item in items}, formats)
+    only_items = {item.name for _, item in items}
+    drawn = draw([s.name for s in chosen], results, echo, only_items, formats)
+    return Reproduced(computed, drawn)
 
 
 def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tuple[Any, Any]:
@@ -80,7 +109,7 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
         }
     out = results / "raw" / s.name  # one folder a study: what two items need is computed once
     cells = compose_cells(
-        [f"experiment={item.experiment}", *item.scale[scale], f"runner.out={out}"]
+        [f"experiment={item.experiment}", *item.scale[scale], file_setting("runner.out", out)]
     )
     runner.run(cells)
     origin = {"experiment": item.experiment, "cells": [c.config for c in cells]}
@@ -99,13 +128,13 @@ def draw(
     echo: Echo,
     only: set[str] | None = None,
     formats: Sequence[str] = ("png",),
-) -> None:
+) -> Drawn:
     """Figures of the named studies, and verdicts and page of all, from the tables under `results`.
 
     A line tells of each table that is of another version, and of each study what is not there.
     """
     writable(str(results / "figures"), "--results")
-    problems = {}
+    problems: dict[tuple[str, str], str] = {}
     for name in names:
         s = study.load(name)
         absent = [item.name for item in s.items if not study.table_path(results, s, item).exists()]
@@ -129,7 +158,9 @@ def draw(
         write_frame(results / "tables" / "verdicts.parquet", verdicts)
     html = page.write(everything, verdicts, results, problems)
     echo("")
-    echo(claims.verdict_text(verdicts[verdicts["study"].isin(list(names))]))
+    named = verdicts[verdicts["study"].isin(list(names))]
+    echo(claims.verdict_text(named))
     echo(f"tables   {results / 'tables'}")
     echo(f"figures  {results / 'figures'}")
     echo(f"page     {html}")
+    return Drawn(named, problems, html)

@@ -461,7 +461,7 @@ def test_a_subclass_has_no_kernel_until_it_says_so():
 def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
     script = (
         "import sys; sys.modules['numba'] = None\n"
-        "from aoabench.cli import dispatch\n"
+        "from aoabench.cli.main import dispatch\n"
         f"dispatch(['run', 'filter=[pf_vmf,ekf_vmf]', 'filter.pf_vmf.particles=50', 'reps=2', 'runner.n_jobs=1', 'runner.out={tmp_path}'])"
     )
     done = subprocess.run(

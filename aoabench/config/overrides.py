@@ -1,0 +1,270 @@
+"""The words of a command line as overrides, read once and with Hydra's grammar.
+
+A word is KEY=VALUE, GROUP=NAME, +KEY=VALUE or ~KEY. Nothing else in the package takes such a word
+apart.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from aoabench.config.presets import GROUPS, LISTS, options
+from aoabench.errors import UserError, shorten
+
+# Keys whose values are names of files or folders. Such a value needs no quotes for Hydra: what its
+# grammar cannot read as text is quoted here.
+PATH_KEYS = ("scenario.path", "scenario.anchors", "scenario.walls", "scenario.truth", "runner.out")
+
+_TOP_LEVEL = (*GROUPS, "reps", "seed", "plugins", "store.steps", "until.metric", "runner.out")
+_MOST_VALUES = 100_000  # of one swept key
+_KEY = re.compile(r"[A-Za-z_$][\w$-]*([./][\w$-]+)*(@[\w$.-]*)?", re.ASCII)
+# a value between commas: in quotes, or up to the next comma
+_PIECE = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')\s*(?=,|$)|[^,]*""", re.DOTALL)
+_UNREADABLE = object()
+_BRACKETS = {")": "(", "]": "[", "}": "{"}
+_BARE = re.compile(r"[A-Za-z0-9_ \t/\\+.$%*@?|:,()\[\]{}'\"-]")  # what Hydra reads without quotes
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One override.
+
+    `word` is what the user typed and `line` what Hydra reads (file names are quoted). `key` is the
+    dotted key or the config group, without prefix and package; `package` is empty without one.
+    """
+
+    word: str
+    line: str
+    key: str
+    package: str
+    is_sweep: bool
+    is_deletion: bool
+    parsed: Any = field(repr=False, compare=False)  # hydra.core.override_parser.types.Override
+
+    @property
+    def value(self) -> Any:
+        """The value as plain Python; of a sweep, Hydra's own object."""
+        return self.parsed.value()
+
+    @property
+    def texts(self) -> list[str]:
+        """All texts in the value, before and after Hydra took escapes and quotes away."""
+        return [self.line.partition("=")[2], *_leaves(self.value)]
+
+
+def read(words: Iterable[str], sweep: bool = True) -> list[Setting]:
+    """The words as settings; with `sweep`, commas in a file name separate values.
+
+    Raises UserError for a word that is no override or that Hydra's grammar cannot read.
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    parser = OverridesParser.create()
+    return [_read(parser, word, sweep) for word in words]
+
+
+def file_setting(key: str, path: object) -> str:
+    """The override that sets `key` to one file or folder, whatever its name."""
+    return f"{key}={_quoted(str(path))}"
+
+
+def jobs(settings: Sequence[Setting]) -> list[list[str]]:
+    """The lines of each job: all combinations of the values of swept keys; a key's last setting
+    counts. Call it where Hydra is initialised.
+
+    Raises UserError for a sweep whose values cannot be counted.
+    """
+    lines: dict[str, list[str]] = {}
+    for setting in settings:
+        key = setting.parsed.get_key_element()
+        swept = setting.is_sweep
+        lines[key] = [f"{key}={v}" for v in _values(setting)] if swept else [setting.line]
+    return [list(job) for job in itertools.product(*lines.values())]
+
+
+def _read(parser: Any, word: str, sweep: bool) -> Setting:
+    from hydra.errors import HydraException
+
+    typed = _without_shell_quotes(word)
+    head, equals, value = typed.partition("=")
+    if not equals and not typed.startswith("~"):
+        raise UserError(_no_override(typed))
+    name = head.lstrip("+~")
+    if not _KEY.fullmatch(name):
+        raise UserError(
+            f"{shorten(word)} cannot be read: {shorten(name)!r} is not a key; allowed: KEY=VALUE "
+            "with a key of letters, digits, _ and dots"
+        )
+    line = typed
+    if name in PATH_KEYS and value:
+        line = f"{head}={_file_names(parser, value, sweep)}"
+    try:
+        parsed = parser.parse_rule(line, "override")
+    except (HydraException, RecursionError) as error:
+        raise UserError(_unreadable(word, value, error)) from None
+    return Setting(
+        word=typed,
+        line=line,
+        key=parsed.key_or_group,
+        package=parsed.package or "",
+        is_sweep=parsed.is_sweep_override(),
+        is_deletion=parsed.is_delete(),
+        parsed=parsed,
+    )
+
+
+def _without_shell_quotes(word: str) -> str:
+    """The word without quotes around the whole of it, which Windows' command prompt leaves."""
+    whole = len(word) > 2 and word[0] == word[-1] and word[0] in "'\"" and "=" in word
+    return word[1:-1] if whole else word
+
+
+def _no_override(word: str) -> str:
+    """The message about a word without `=`."""
+    presets = [(name, group) for group in GROUPS for name in options(group)]
+    known = {n: f"{g}=[{n}]" if g in LISTS else f"{g}={n}" for n, g in presets}
+    known |= {key: f"{key}=..." for key in _TOP_LEVEL}
+    text = f"{shorten(word)!r} is not an override; allowed: KEY=VALUE, GROUP=NAME, ~KEY"
+    key, mark, value = word.partition(":")
+    if mark and key in _TOP_LEVEL:
+        return f"{text}; did you mean '{shorten(f'{key}={value.strip()}')}'?"
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"{text}; did you mean '{known[close[0]]}'?" if close else text
+
+
+def _file_names(parser: Any, value: str, sweep: bool) -> str:
+    """The value of a key in PATH_KEYS as Hydra reads it: names that it would not take for text are
+    quoted; with `sweep` each between commas.
+    """
+    from hydra.core.override_parser.types import ChoiceSweep
+
+    found = _parsed_value(parser, value)
+    simple_sweep = isinstance(found, ChoiceSweep) and found.simple_form
+    if simple_sweep and sweep and all(map(_stays, found.list)):
+        return value
+    if not simple_sweep and _stays(found):
+        return value
+    if not sweep or "," not in value:
+        return _quoted(value.strip())
+    return ",".join(_file_names(parser, piece.strip(), False) for piece in _pieces(value))
+
+
+def _stays(found: Any) -> bool:
+    """Whether a value that Hydra has parsed is a text, or can be no file name: null, a list, a
+    mapping, a sweep by a function.
+    """
+    return found is not _UNREADABLE and not isinstance(found, bool | int | float)
+
+
+def _parsed_value(parser: Any, value: str) -> Any:
+    """The value as Hydra's grammar reads it, or _UNREADABLE."""
+    from hydra.errors import HydraException
+
+    try:
+        return parser.parse_rule(f"key={value}", "override")._value
+    except (HydraException, RecursionError):
+        return _UNREADABLE
+
+
+def _pieces(value: str) -> Iterator[str]:
+    """What stands between the commas of a value, apart from those in quotes."""
+    position = 0
+    while position <= len(value):
+        match = _PIECE.match(value, position)
+        assert match  # the second alternative fits everything
+        yield match[0]
+        position = match.end() + 1
+
+
+def _quoted(text: str) -> str:
+    """`text` in quotes, as Hydra's grammar wants it."""
+    from hydra.core.override_parser.types import Quote, QuotedString
+
+    return str(QuotedString(text, Quote.single).with_quotes())
+
+
+def _leaves(value: Any) -> Iterator[str]:
+    """The texts in a parsed value, those of a sweep too."""
+    from hydra.core.override_parser.types import ChoiceSweep, QuotedString
+
+    if isinstance(value, ChoiceSweep):
+        value = value.list
+    elif isinstance(value, dict):
+        value = [*value, *value.values()]
+    if isinstance(value, list):
+        for item in value:
+            yield from _leaves(item)
+    else:
+        yield value.text if isinstance(value, QuotedString) else str(value)
+
+
+def _values(setting: Setting) -> list[str]:
+    """The values of a sweep, as Hydra reads them."""
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.errors import HydraException
+
+    if not setting.parsed.is_discrete_sweep():
+        raise UserError(
+            f"{shorten(setting.word)}: these are not single values; "
+            "allowed: VALUE,VALUE or range(START,STOP,STEP)"
+        )
+    setting.parsed.config_loader = GlobalHydra.instance().config_loader()
+    try:
+        found = list(itertools.islice(setting.parsed.sweep_string_iterator(), _MOST_VALUES + 1))
+    except (HydraException, ValueError, TypeError) as error:
+        raise UserError(f"{shorten(setting.word)}: {_reason(error)}") from None
+    if len(found) > _MOST_VALUES:
+        raise UserError(f"{shorten(setting.word)}: more than {_MOST_VALUES} values")
+    return found
+
+
+def _unreadable(word: str, value: str, error: Exception) -> str:
+    """The message about a word that Hydra's grammar cannot read, in plain words."""
+    complaint = _complaint(value) or _reason(error)
+    key = shorten(word.partition("=")[0].lstrip("'\""))
+    if len(value) > 80 or set(value) & set('"$`\\'):
+        value = "VALUE"
+    quoted = rf'"{key}=\"{value}\""' if "'" in value else f"'{key}=\"{value}\"'"
+    return (
+        f"{shorten(word)} cannot be read: {complaint}; "
+        f"allowed: KEY=VALUE, KEY=[VALUE,VALUE], or text in two pairs of quotes: {quoted}"
+    )
+
+
+def _complaint(value: str) -> str:
+    """The first quote or bracket of a value that has no partner, or character that needs quotes."""
+    opened: list[str] = []
+    quote = ""
+    for i, mark in enumerate(value):
+        if quote:
+            quote = "" if mark == quote and value[i - 1] != "\\" else quote
+        elif mark in "'\"":
+            quote = mark
+        elif mark in "([{" and value[i - 1 : i] != "\\":
+            opened.append(mark)
+        elif mark in _BRACKETS and value[i - 1 : i] != "\\":
+            if not opened or opened.pop() != _BRACKETS[mark]:
+                return f"{mark!r} closes nothing"
+        elif not _BARE.match(mark):
+            return f"{mark!r} needs quotes"
+    if quote:
+        return f"the quote {quote} is not closed"
+    return f"{opened[-1]!r} is not closed" if opened else ""
+
+
+def _reason(error: Exception) -> str:
+    """The end of what Hydra says about a value, without names of classes."""
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    text = str(error)
+    if "while evaluating" in text:  # a function: its own complaint comes last
+        own = text.rpartition("': ")[2].strip() or "its function does not work"
+        return shorten(own.splitlines()[0].lower())
+    if "arg 3 must not be zero" in text or "Invalid range values" in text:
+        return "the step of a range must not be 0"
+    return "its parts do not make a value"

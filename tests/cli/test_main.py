@@ -1,0 +1,143 @@
+"""Exit status, help of each command, and signals."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from aoabench.cli import main as main_module
+from aoabench.cli.main import cli, dispatch, main
+from aoabench.errors import RunError, UserError
+from aoabench.store import compare as compare_module
+
+COMMANDS = ["run", "list", "compare", "collect", "replay", "reproduce", "report"]
+JSON = ["run", "list", "compare", "collect", "reproduce", "report"]
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
+def test_the_commands_are_listed_in_the_order_of_their_use(words, call):
+    status, out, err = call(*words)
+    assert (status, err) == (0, "")
+    listed = out.partition("Commands:")[2].splitlines()[1:]
+    assert [line.split()[0] for line in listed] == COMMANDS
+    assert not any(line.endswith("...") for line in listed), "each line is whole"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_command_has_help_with_an_example(name, call):
+    status, out, err = call(name, "--help")
+    assert (status, err) == (0, "")
+    assert f"aoabench {name}" in out.partition("Example")[2]
+    assert "--quiet" in out
+    assert ("--json" in out) == (name in JSON)
+    assert ("With --json:" in out) == (name in JSON)
+    assert out == call(name, "-h")[1] == call("help", name)[1]
+    for parameter in cli.commands[name].params:
+        assert parameter.help, parameter
+
+
+@pytest.mark.parametrize("flag", ["--version", "-V"])
+def test_version(flag, call):
+    import aoabench
+
+    assert call(flag) == (0, f"aoabench {aoabench.__version__}\n", "")
+
+
+@pytest.mark.parametrize(("words", "line"), [
+    (["rnu"], "unknown command 'rnu'; did you mean 'run'? see `aoabench --help`"),
+    (["frobnicate"], "unknown command 'frobnicate'; allowed: run, list, compare, collect, replay, "
+     "reproduce, report; see `aoabench --help`"),
+    (["--hlep"], "unknown option --hlep; did you mean '--help'? see `aoabench --help`"),
+    (["run", "--wrst", "3"], "run: unknown option --wrst; did you mean '--worst'? see `aoabench run --help`"),
+    (["run", "--worst"], "run: --worst needs a value; see `aoabench run --help`"),
+    (["run", "-c", "jobs"], "run: --cfg: 'jobs' is not allowed; did you mean 'job'? see `aoabench run --help`"),
+    (["compare"], "compare: RUN is missing: folder of a run (its runner.out); see `aoabench compare --help`"),
+    (["replay", "x", "--replication", "1"],
+     "replay: --estimator is missing: name of the estimator; see `aoabench replay --help`"),
+    (["replay", "x", "--replication", "1.5"],
+     "replay: --replication: '1.5' is not a valid integer; see `aoabench replay --help`"),
+    (["collect", "a", "b"], "collect: Got unexpected extra argument (b); see `aoabench collect --help`"),
+    (["list", "filtre"], "list: GROUP: 'filtre' is not allowed; did you mean 'filter'? see `aoabench list --help`"),
+])  # fmt: skip
+def test_a_mistake_in_the_words_is_one_line(words, line, call):
+    assert call(*words) == (2, "", f"aoabench: {line}\n")
+
+
+@pytest.mark.parametrize(("error", "status", "line"), [
+    (UserError("one\n  line"), 2, "aoabench: one line\n"),
+    (RunError("no space"), 1, "aoabench: no space\n"),
+    (KeyboardInterrupt(), 130,
+     "aoabench: interrupted; what was finished is kept, the same command goes on from there\n"),
+])  # fmt: skip
+def test_exit_status(error, status, line, call, monkeypatch):
+    def fail(*_arguments):
+        raise error
+
+    monkeypatch.setattr(compare_module, "compare", fail)
+    assert call("compare", "x") == (status, "", line)
+
+
+@pytest.mark.parametrize("error", [EOFError("torn"), ValueError("a fault")])
+def test_other_exceptions_are_not_hidden(error, monkeypatch):
+    def fail(*_arguments):
+        raise error
+
+    monkeypatch.setattr(compare_module, "compare", fail)
+    with pytest.raises(type(error), match=str(error)):
+        main(["compare", "x"])
+
+
+@pytest.mark.parametrize(("name", "status", "word"), [
+    ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up"), ("SIGINT", 130, "interrupted"),
+])  # fmt: skip
+def test_signals_end_a_command_as_ctrl_c_does(name, status, word, call, monkeypatch):
+    number = getattr(signal, name)
+
+    def slow(*_arguments):
+        os.kill(os.getpid(), number)
+        time.sleep(10)
+
+    before = signal.getsignal(number)
+    monkeypatch.setattr(compare_module, "compare", slow)
+    code, out, err = call("compare", "x")
+    assert (code, out) == (status, "")
+    assert err.startswith(f"aoabench: {word}; ")
+    assert len(err.splitlines()) == 1
+    assert signal.getsignal(number) == before
+
+
+def test_an_ignored_signal_stays_ignored(call, monkeypatch):
+    """As nohup wants it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+
+        def hung_up(*_arguments):
+            os.kill(os.getpid(), signal.SIGHUP)
+            raise RunError("the end")
+
+        monkeypatch.setattr(compare_module, "compare", hung_up)
+        assert call("compare", "x") == (1, "", "aoabench: the end\n")
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_terminal_that_is_gone_changes_no_status(monkeypatch):
+    class Gone:
+        def write(self, _text):
+            raise OSError(5, "Input/output error")
+
+        def flush(self):
+            pass
+
+    monkeypatch.setattr(main_module.sys, "stderr", Gone())
+    with pytest.raises(SystemExit) as stop:
+        main(["rnu"])
+    assert stop.value.code == 2
+
+
+def test_dispatch_returns_the_status_and_raises_user_errors(capsys):
+    assert dispatch(["list", "runner"]) == 0
+    assert "local" in capsys.readouterr().out
+    with pytest.raises(UserError, match="unknown command"):
+        dispatch(["rnu"])

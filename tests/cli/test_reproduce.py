@@ -1,0 +1,46 @@
+"""`aoabench reproduce` and `report` with --json and -q, on one small item."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from aoabench.studies import reproduce as reproducing
+
+KEYS = {"schema", "results", "verdicts", "not_computed", "page"}
+
+
+@pytest.fixture
+def one_item(monkeypatch):
+    """Only the study nurminen2018, to keep the page small."""
+    monkeypatch.setattr(reproducing, "all_studies", lambda: ["nurminen2018"])
+
+
+def strict(text):
+    return json.loads(text, parse_constant=lambda name: 1 / 0)
+
+
+def test_json_and_quiet(call, tmp_path, one_item):
+    words = ["nurminen2018", "--only", "table1", "--results", tmp_path]
+    status, out, err = call("reproduce", *words, "--json")
+    assert status == 0, err
+    found = strict(out)
+    assert set(found) == {*KEYS, "scale", "items"}
+    assert (found["schema"], found["scale"], found["results"]) == (1, "quick", str(tmp_path))
+    (item,) = found["items"]
+    assert (item["study"], item["item"], item["rows"]) == ("nurminen2018", "table1", 14)
+    assert Path(found["page"]).exists()
+    by_item = {row["item"]: row for row in found["verdicts"]}
+    assert isinstance(by_item["table1"]["ours"], float)
+    assert by_item["fig4"]["ours"] is None, "not computed: NaN is null"
+    assert "table1: 14 rows" in err, "progress goes to standard error"
+
+    status, out, err = call("report", "--results", tmp_path, "--json", "-q")
+    assert (status, err) == (0, "")
+    drawn = strict(out)
+    assert set(drawn) == KEYS
+    assert drawn["verdicts"] == found["verdicts"]
+    assert call("report", "--results", tmp_path, "--quiet") == (0, "", "")
+    status, out, _ = call("report", "--results", tmp_path)
+    assert status == 0
+    assert "printed numbers and claims" in out
