@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import difflib
 import math
+import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, cast
+from numbers import Real
+from typing import cast
 
 import numpy as np
 
@@ -70,25 +71,24 @@ def check_number(
     """Raise BadValue unless `value` is a finite number in (above, most] and [least, most] (or None
     if optional).
     """
-    kind = "an integer" if integer else "a number"
-    bounds = (
-        [f"> {above:g}"] if above > -math.inf else [f">= {least:g}"] if least > -math.inf else []
-    )
-    bounds += [f"<= {most:g}"] if most < math.inf else []
-    allowed = " ".join([kind, " and ".join(bounds)]).strip() + (", or null" if optional else "")
+    allowed = "an integer" if integer else "a number"
+    allowed += _limits(above, least, most) + (", or null" if optional else "")
     if value is None and optional:
         return
-    good = isinstance(
-        value, (int, np.integer) if integer else (int, float, np.integer, np.floating)
-    )
-    if (
-        not good
-        or isinstance(value, bool)
-        or (isinstance(value, float) and not math.isfinite(value))
-    ):
+    kinds = (int, np.integer) if integer else (int, float, np.integer, np.floating)
+    if not isinstance(value, kinds) or isinstance(value, bool):
         raise BadValue(key, value, allowed)
-    if not (above < value and least <= value <= most):  # type: ignore[operator]
+    number = value.item() if isinstance(value, np.generic) else cast(float, value)
+    if not (abs(number) <= sys.float_info.max and above < number and least <= number <= most):
         raise BadValue(key, value, allowed)
+
+
+def _limits(above: float, least: float, most: float) -> str:
+    """' > 0 and <= 5', or nothing where there are no limits."""
+    limits = [f"> {above:g}"] if above > -math.inf else []
+    limits += [f">= {least:g}"] if least > -math.inf else []
+    limits += [f"<= {most:g}"] if most < math.inf else []
+    return f" {' and '.join(limits)}" if limits else ""
 
 
 def check_choice(key: str, value: object, choices: Sequence[str]) -> None:
@@ -97,100 +97,42 @@ def check_choice(key: str, value: object, choices: Sequence[str]) -> None:
         raise BadValue(key, value, "one of " + ", ".join(choices))
 
 
-def check_array(key: str, value: object, shape: tuple[int | None, ...]) -> Array:
-    """`value` as a finite float array of `shape` (None: any length >= 1); else raise BadValue."""
-    wanted = " x ".join("N" if s is None else str(s) for s in shape) + " finite numbers"
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise BadValue(key, value, wanted) from None
-    fits = array.ndim == len(shape) and all(
-        a == s if s else a > 0 for a, s in zip(array.shape, shape)
-    )
-    if not fits or not np.all(np.isfinite(array)):
-        raise BadValue(key, value, wanted)
-    return array
-
-
-@dataclass(frozen=True)
-class Param:
-    """What a parameter means and may be; `check` says what a value must fulfil.
-
-    A number lies in (above, most] or [least, most]; a text is one of `choices`, a list of texts
-    holds only these; an array has `shape` (None: any length). `also`: further values that are
-    allowed whatever the rest says.
-    """
-
-    help: str
-    unit: str = ""
-    above: float = -math.inf
-    least: float = -math.inf
-    most: float = math.inf
-    choices: tuple[str, ...] = ()
-    shape: tuple[int | None, ...] = ()
-    also: tuple[object, ...] = ()
-
-    def check(self, key: str, value: object, kind: str) -> None:
-        """Raise BadValue unless `value` fits; `kind` is the annotation: float, int | None, ..."""
-        base, optional = kind.removesuffix(" | None"), kind.endswith(" | None")
-        if (value is None and optional) or any(value is one or value == one for one in self.also):
-            return
-        if base == "bool" and not isinstance(value, bool):
-            raise BadValue(key, value, "true or false" + (", or null" if optional else ""))
-        if base.split(" | ")[0] in ("float", "int"):
-            self._check_number(key, value, base.startswith("int"), optional)
-        elif self.shape:
-            check_array(key, value, self.shape)
-        elif base == "Sequence[str]":
-            if isinstance(value, str) or not isinstance(value, Sequence):
-                raise BadValue(key, value, f"a list of {', '.join(self.choices)}")
-            for one in value:
-                check_choice(key, one, self.choices)
-        elif base == "str":
-            check_choice(key, value, self.choices) if self.choices else check_text(key, value)
-
-    def _check_number(self, key: str, value: object, integer: bool, optional: bool) -> None:
-        limits = {"above": self.above, "least": self.least, "most": self.most}
-        try:
-            check_number(key, value, **limits, integer=integer, optional=optional)
-        except BadValue as error:
-            more = "".join(f", or {one}" for one in self.also)
-            raise BadValue(key, value, error.allowed + more) from None
-
-
 def check_text(key: str, value: object) -> None:
     """Raise BadValue unless `value` is a text that is not empty."""
     if not isinstance(value, str) or not value.strip():
         raise BadValue(key, value, "a text")
 
 
-def param(
-    default: Any = MISSING,
-    help: str = "",
+def check_bool(key: str, value: object) -> None:
+    """Raise BadValue unless `value` is True or False."""
+    if not isinstance(value, bool):
+        raise BadValue(key, value, "true or false")
+
+
+def check_array(
+    key: str,
+    value: object,
+    shape: tuple[int | None, ...],
     *,
-    unit: str = "",
     above: float = -math.inf,
     least: float = -math.inf,
     most: float = math.inf,
-    choices: Sequence[str] = (),
-    shape: tuple[int | None, ...] = (),
-    also: tuple[object, ...] = (),
-) -> Any:
-    """A dataclass field with its meaning and its limits; without `default` it must be given.
-
-    `CheckedParams` checks the value by the field's annotation and these limits.
+) -> Array:
+    """`value` as a float array of `shape` (None: any length >= 1), each of whose numbers is finite
+    and lies in (above, most] and [least, most]; else raise BadValue.
     """
-    known = Param(help, unit, above, least, most, tuple(choices), shape, also)
-    return field(default=default, metadata={"param": known})
-
-
-class CheckedParams:
-    """Checks the fields made by `param` when a dataclass is built; BadValue for what does not fit.
-
-    A class with checks of its own calls super().__post_init__() first.
-    """
-
-    def __post_init__(self) -> None:
-        for f in fields(cast(Any, self)):
-            if "param" in f.metadata:
-                f.metadata["param"].check(f.name, getattr(self, f.name), str(f.type))
+    wanted = " x ".join("N" if s is None else str(s) for s in shape) + " finite numbers"
+    wanted += _limits(above, least, most)
+    try:
+        array = np.array(value, dtype=float)
+        cells = np.array(value, dtype=object).ravel()
+    except (TypeError, ValueError):
+        raise BadValue(key, value, wanted) from None
+    fits = array.ndim == len(shape) and all(
+        a == s if s else a > 0 for a, s in zip(array.shape, shape)
+    )
+    fits = fits and all(isinstance(c, Real) and not isinstance(c, bool) for c in cells)
+    good = np.isfinite(array) & (array > above) & (array >= least) & (array <= most)
+    if not fits or not np.all(good):
+        raise BadValue(key, value, wanted)
+    return array

@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aoabench.errors import BadValue, CheckedParams, Unfit
+from aoabench.errors import BadValue, Unfit
 from aoabench.maths.geometry import Array
+from aoabench.params import CheckedParams
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Measurements
 

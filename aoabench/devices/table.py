@@ -45,12 +45,13 @@ def header(key: str, path: object) -> list[str]:
 
 
 _KINDS = "CSV file in UTF-8 (.csv) or Parquet file (.parquet)"
+EXISTING = f"existing {_KINDS}"
 
 
 def _is_parquet(key: str, path: object) -> bool:
     if not isinstance(path, str) or not os.path.isfile(path):
         there = "; this is a folder" if isinstance(path, str) and os.path.isdir(path) else ""
-        raise BadValue(key, path, f"an existing {_KINDS}{there}")
+        raise BadValue(key, path, f"an {EXISTING}{there}")
     kind = os.path.splitext(path)[1].lower()
     if kind not in (".csv", ".parquet"):
         raise BadValue(key, path, f"a {_KINDS}")

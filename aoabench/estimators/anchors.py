@@ -11,28 +11,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from aoabench.errors import BadValue, Unfit, check_number
-from aoabench.estimators.plane import clipped, directions, in_plane, on_plane, plane_of
+from aoabench.estimators.parameters import clip_param, height_param, horizon_param
+from aoabench.estimators.plane import (
+    clipped,
+    directions,
+    in_plane,
+    on_plane,
+    plane_of,
+)
 from aoabench.maths.geometry import Array
+from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates
 
+DIFFERENT = "a list of different anchors' numbers >= 1, or null for all"
+
 
 @dataclass(frozen=True)
 class _OnPlane(Estimator):
-    """height_m: of the plane, null for the scenario's; horizon_deg (0, 90): rays look at least this
-    far towards it; clip: positions are moved into the scenario's bounds."""
+    """Rays of single anchors meet the plane of the known height."""
 
-    height_m: float | None = None
-    horizon_deg: float = 1.0
-    clip: bool = True
+    height_m: float | None = height_param()
+    horizon_deg: float = horizon_param()
+    clip: bool = clip_param()
     tile = 8
-
-    def __post_init__(self) -> None:
-        check_number("height_m", self.height_m, optional=True)
-        check_number("horizon_deg", self.horizon_deg, above=0, most=89)
-        if not isinstance(self.clip, bool):
-            raise BadValue("clip", self.clip, "true or false")
 
     @property
     def needs(self) -> frozenset[str]:
@@ -55,13 +58,9 @@ class _OnPlane(Estimator):
 
 @dataclass(frozen=True)
 class SingleAnchor(_OnPlane):
-    """The position from anchor number `anchor`, counted from 1, whatever the others say."""
+    """The position from one anchor, whatever the others measured."""
 
-    anchor: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_number("anchor", self.anchor, least=1, integer=True)
+    anchor: int = param(1, "number of the anchor, counted from 1", least=1)
 
     def check(self, scenario: Scenario, noise: Noise) -> None:
         super().check(scenario, noise)
@@ -124,28 +123,21 @@ def _selected(xy: Array, merit: np.ndarray) -> Estimates:
 
 @dataclass(frozen=True)
 class AnchorMean(_OnPlane):
-    """The mean of the positions from all anchors that measured, or from those numbered in `anchors`
-    (from 1).
+    """The mean of the positions from all anchors that measured, or from some of them.
 
     Each is moved into the bounds first: the variance of where a ray near the horizon meets a plane
     is infinite. The score is the root mean square distance in m of the positions from their mean.
     """
 
-    anchors: Sequence[int] | None = None
+    anchors: Sequence[int] | None = param(
+        None, "numbers of the anchors, counted from 1; null: all", least=1, allowed=DIFFERENT
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.anchors is not None:
-            if (
-                not isinstance(self.anchors, Sequence)
-                or not self.anchors
-                or len(set(self.anchors)) < len(self.anchors)
-            ):
-                raise BadValue(
-                    "anchors", self.anchors, "a list of different anchors' numbers, or null for all"
-                )
-            for number in self.anchors:
-                check_number("anchors", number, least=1, integer=True)
+        given = self.anchors
+        if given is not None and (not given or len(set(given)) < len(given)):
+            raise BadValue("anchors", given, DIFFERENT)
 
     def check(self, scenario: Scenario, noise: Noise) -> None:
         super().check(scenario, noise)

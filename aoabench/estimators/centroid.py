@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.errors import BadValue, Unfit
+from aoabench.errors import Unfit
 from aoabench.maths.geometry import LIGHT, to_unit
+from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
@@ -20,16 +21,12 @@ from aoabench.types import Batch, Estimates, Outcome
 
 @dataclass(frozen=True)
 class WeightedCentroid(Estimator):
-    """`as_printed`: the measured azimuth, which includes the array's orientation, is not freed from
-    it in (12) [U5].
-    """
+    """The mean of the ANs' positions, weighted by the inverse variances of their times."""
 
-    as_printed: bool = False
+    as_printed: bool = param(
+        False, "(12) does not subtract the array's orientation from the measured azimuth [U5]"
+    )
     tile = 8
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.as_printed, bool):
-            raise BadValue("as_printed", self.as_printed, "true or false")
 
     @property
     def needs(self) -> frozenset[str]:

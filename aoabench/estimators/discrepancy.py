@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_choice, check_number
+from aoabench.errors import BadValue, check_number
 from aoabench.estimators import ellipses
+from aoabench.estimators.parameters import clip_param, height_param, horizon_param
 from aoabench.estimators.plane import clipped, plane_of
-from aoabench.kernels.loading import Compiled, check_engine
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array, to_unit
+from aoabench.params import param
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
@@ -40,48 +42,45 @@ EVEN = 1e-9  # ratios (19) that differ by less are the same
 
 @dataclass(frozen=True)
 class Discrepancy(Compiled, Estimator):
-    """r_sigma times azimuth_sigma_deg and elevation_sigma_deg are the deviations that shape the
-    ellipses.
+    """The ellipses are shaped by r_sigma times azimuth_sigma_deg and elevation_sigma_deg."""
 
-    centre: of an ellipse, the `midpoint` (12) of the projections of elevation +- sigma, or the
-    projected `estimate`; minimum_axis_m: lower limit of both half-axes; horizon_deg (0, 89]: rays
-    look at least this far towards the plane; intersection: what must have a common point, the
-    ellipses' bounding `boxes` or the ellipses (`exact`); ties: among several largest sets the one
-    of the largest ratio (19) of `area`s, or the `first` in the order of anchor numbers; vote: false
-    leaves S2 out; clip: positions are moved into the scenario's bounds; height_m: of the plane,
-    null for the scenario's.
-    """
-
-    r_sigma: float = 1.0
-    azimuth_sigma_deg: float = 8.1
-    elevation_sigma_deg: float = 11.1
-    centre: str = "midpoint"
-    minimum_axis_m: float = 0.1
-    horizon_deg: float = 1.0
-    intersection: str = "boxes"
-    ties: str = "area"
-    vote: bool = True
-    clip: bool = True
-    height_m: float | None = None
-    engine: str = "auto"
+    r_sigma: float = param(1.0, "factor on both deviations: a small one rejects more", above=0)
+    azimuth_sigma_deg: float = param(
+        8.1, "standard deviation of the azimuth", unit="deg", above=0, most=90
+    )
+    elevation_sigma_deg: float = param(
+        11.1, "standard deviation of the elevation", unit="deg", above=0, most=90
+    )
+    centre: str = param(
+        "midpoint",
+        "centre of an ellipse: the midpoint (12) of the projections of elevation +- sigma, "
+        "or the projected estimate",
+        choices=CENTRES,
+    )
+    minimum_axis_m: float = param(0.1, "lower limit of the ellipses' half-axes", unit="m", least=0)
+    horizon_deg: float = horizon_param()
+    intersection: str = param(
+        "boxes",
+        "what must have a common point: the ellipses' bounding boxes, or the ellipses (exact)",
+        choices=INTERSECTIONS,
+    )
+    ties: str = param(
+        "area",
+        "among several largest sets: the one of the largest ratio (19) of areas, "
+        "or the first in the order of anchor numbers",
+        choices=TIES,
+    )
+    vote: bool = param(True, "false: all anchors that measured are fused, step S2 is left out")
+    clip: bool = clip_param()
+    height_m: float | None = height_param()
+    engine: str = engine_param()
     tile = 8
     kernels = KERNELS
 
     def __post_init__(self) -> None:
-        check_number("r_sigma", self.r_sigma, above=0)
-        for name in ("azimuth_sigma_deg", "elevation_sigma_deg"):
-            check_number(name, getattr(self, name), above=0, most=90)
-            check_number("r_sigma", self.r_sigma, above=0, most=90 / getattr(self, name))
-        check_number("minimum_axis_m", self.minimum_axis_m, least=0)
-        check_number("horizon_deg", self.horizon_deg, above=0, most=89)
-        check_choice("centre", self.centre, CENTRES)
-        check_choice("intersection", self.intersection, INTERSECTIONS)
-        check_choice("ties", self.ties, TIES)
-        for name in ("vote", "clip"):
-            if not isinstance(getattr(self, name), bool):
-                raise BadValue(name, getattr(self, name), "true or false")
-        check_number("height_m", self.height_m, optional=True)
-        check_engine(self.engine)
+        super().__post_init__()
+        for sigma in (self.azimuth_sigma_deg, self.elevation_sigma_deg):
+            check_number("r_sigma", self.r_sigma, above=0, most=90 / sigma)
 
     @property
     def needs(self) -> frozenset[str]:

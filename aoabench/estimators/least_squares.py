@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from aoabench.errors import check_choice
-from aoabench.kernels.loading import Compiled, check_engine
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
+from aoabench.params import param
 from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
@@ -36,18 +36,20 @@ KERNELS = "kernels.snapshot"
 ROWS = ("printed", "invariant")
 
 
+def rows_param() -> Any:
+    """The parameter that chooses the elevation's equations."""
+    help = "the elevation's equations: as printed, or invariant to turns about the vertical"
+    return param("printed", help, choices=ROWS)
+
+
 @dataclass(frozen=True)
 class LeastSquares(Compiled, Estimator):
-    """`rows`: the elevation's equations, `printed` or `invariant`."""
+    """The closed-form solution of the linear equations above."""
 
-    rows: str = "printed"
-    engine: str = "auto"
+    rows: str = rows_param()
+    engine: str = engine_param()
     tile = 1
     kernels = KERNELS
-
-    def __post_init__(self) -> None:
-        check_choice("rows", self.rows, ROWS)
-        check_engine(self.engine)
 
     @property
     def needs(self) -> frozenset[str]:

@@ -17,10 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.errors import check_number
+from aoabench.estimators.parameters import clip_param
 from aoabench.estimators.plane import clipped, directions
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import solve
+from aoabench.params import param
 from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
@@ -65,13 +66,12 @@ def distances(P: Array, s: Array, p: Array) -> Array:
 
 @dataclass(frozen=True)
 class LineLeastSquares(Estimator):
-    """The nearest point to all lines; `clip`: x and y are moved into the scenario's bounds, if it
-    has any.
+    """The nearest point to all lines.
 
     The score is the root mean square distance in m from the lines.
     """
 
-    clip: bool = True
+    clip: bool = clip_param()
     tile = 8
 
     @property
@@ -93,12 +93,11 @@ class AnchorDiscarding(Estimator):
     The paper names its M_IAD without equations: this is a reconstruction.
     """
 
-    threshold_m: float = 0.3
-    clip: bool = True
+    threshold_m: float = param(
+        0.3, "root mean square distance up to which no anchor is discarded", unit="m", least=0
+    )
+    clip: bool = clip_param()
     tile = 8
-
-    def __post_init__(self) -> None:
-        check_number("threshold_m", self.threshold_m, least=0)
 
     @property
     def needs(self) -> frozenset[str]:

@@ -22,11 +22,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.errors import check_choice, check_number
-from aoabench.estimators.least_squares import KERNELS, ROWS, by_kernel, measured, planes
-from aoabench.kernels.loading import Compiled, check_engine
+from aoabench.estimators.least_squares import KERNELS, by_kernel, measured, planes, rows_param
+from aoabench.estimators.parameters import tolerance_param, updates_param
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import solve
+from aoabench.params import param
 from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
@@ -38,33 +39,26 @@ TURN = 2.0 * math.pi
 
 @dataclass(frozen=True)
 class GaussNewton(Compiled, Estimator):
-    """`azimuth`: arctan, atan2 or kcorr; `as_printed`: null, or an erratum to run as the paper
-    prints it.
+    """Gauss-Newton iterations from the least-squares start."""
 
-    `sign` takes k = sign(f - y) [Algorithm 1, line 7; L1], `atan2` swaps its arguments [(22); L2].
-    """
-
-    azimuth: str = "kcorr"
-    start: str = "printed"
-    tolerance_m: float = 0.01
-    updates: int = 1000
-    as_printed: str | None = None
-    engine: str = "auto"
+    azimuth: str = param(
+        "kcorr",
+        "azimuths by arctan, folded; by atan2, in [0, 2 pi); or kcorr, atan2 with phase-jump "
+        "correction",
+        choices=AZIMUTHS,
+    )
+    start: str = rows_param()
+    tolerance_m: float = tolerance_param(0.01)
+    updates: int = updates_param(1000)
+    as_printed: str | None = param(
+        None,
+        "erratum to run as printed: sign takes k = sign(f - y) [Algorithm 1, line 7; L1], "
+        "atan2 swaps its arguments [(22); L2]",
+        choices=PRINTED,
+    )
+    engine: str = engine_param()
     tile = 1
     kernels = KERNELS
-
-    def __post_init__(self) -> None:
-        check_choice("azimuth", self.azimuth, AZIMUTHS)
-        check_choice("start", self.start, ROWS)
-        check_number("tolerance_m", self.tolerance_m, above=0, most=1e6)
-        check_number("updates", self.updates, least=1, most=1_000_000, integer=True)
-        if self.as_printed is not None:
-            check_choice("as_printed", self.as_printed, PRINTED)
-        check_engine(self.engine)
-
-    @property
-    def needs(self) -> frozenset[str]:
-        return frozenset({"several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix, the number of updates, and what became of the iteration."""

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_number
 from aoabench.estimators.lines import nearest_point
+from aoabench.estimators.parameters import clip_param, tolerance_param, updates_param
 from aoabench.estimators.plane import clipped, directions, plane_of
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import solve
+from aoabench.params import param
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
@@ -30,29 +31,22 @@ FREE = "free"
 
 @dataclass(frozen=True)
 class VmfLikelihood(Estimator):
-    """`height_m`: m, or `free` to estimate z too, or null for the scenario's height, free where it
-    has none.
-
-    Each kappa is 1 / sigma^2 of the azimuth's stated deviation where there is one, otherwise all
+    """Each kappa is 1 / sigma^2 of the azimuth's stated deviation where there is one, otherwise all
     are alike. A fix is `oscillated` if no step gets shorter than `tolerance_m` within `updates`,
     `diverged` beyond 1e6 m, `failed` without a start. The score is the root mean square angle in
     rad between measured and expected directions.
     """
 
-    height_m: float | str | None = None
-    tolerance_m: float = 1e-4
-    updates: int = 100
-    clip: bool = True
+    height_m: float | str | None = param(
+        None,
+        "height of the target, or free: z is estimated too; null: the scenario's, else free",
+        unit="m",
+        also=(FREE,),
+    )
+    tolerance_m: float = tolerance_param(1e-4)
+    updates: int = updates_param(100)
+    clip: bool = clip_param()
     tile = 8
-
-    def __post_init__(self) -> None:
-        if self.height_m != FREE:
-            try:
-                check_number("height_m", self.height_m, optional=True)
-            except BadValue as error:
-                raise BadValue(error.key, error.value, f"{error.allowed}, or {FREE}") from None
-        check_number("tolerance_m", self.tolerance_m, above=0, most=1e6)
-        check_number("updates", self.updates, least=1, most=1_000_000, integer=True)
 
     @property
     def needs(self) -> frozenset[str]:

@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench.errors import BadValue, Unfit, check_choice
+from aoabench.errors import Unfit
 from aoabench.filters.trace import innovations
-from aoabench.kernels.loading import Compiled, check_engine
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import LIGHT, Array, wrap
+from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Scenario, believed
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
@@ -39,29 +40,24 @@ RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 @dataclass(frozen=True)
 class AccessNodeEKF(Compiled, Estimator):
-    """EKF with times and angles (`toa: true`) or angles alone.
+    """EKF with times and angles of arrival, or angles alone.
 
     What the filter believes of the ANs' positions is what the anchors state (`position_sigma`;
-    nothing: exact). `as_printed` runs errata as the paper prints them: `jacobian` (21), (26) [U1,
-    U2], `wrap` the azimuth's difference is not wrapped [U8], `shared` (23), (24) one error for all
-    ANs [U3], `cross` (22) no covariance between time and angles of an AN [U4].
+    nothing: exact).
     """
 
-    toa: bool = True
-    as_printed: Sequence[str] = ()
+    toa: bool = param(True, "times of arrival are used beside the angles")
+    as_printed: Sequence[str] = param(
+        (),
+        "errata to run as printed: jacobian (21), (26) [U1, U2]; wrap: the azimuth's difference "
+        "is not wrapped [U8]; shared (23), (24): one error for all ANs [U3]; cross (22): no "
+        "covariance between time and angles of an AN [U4]",
+        choices=PRINTED,
+    )
     _: KW_ONLY
-    engine: str = "auto"
+    engine: str = engine_param()
     tile = 8
     kernels = KERNELS
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.toa, bool):
-            raise BadValue("toa", self.toa, "true or false")
-        if isinstance(self.as_printed, str):
-            raise BadValue("as_printed", self.as_printed, f"a list of {', '.join(PRINTED)}")
-        for flag in self.as_printed:
-            check_choice("as_printed", flag, PRINTED)
-        check_engine(self.engine)
 
     @property
     def needs(self) -> frozenset[str]:

@@ -14,17 +14,17 @@ N1-N8].
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aoabench.errors import check_choice, check_number
 from aoabench.filters.compiled import kind_of
 from aoabench.filters.trace import innovations
-from aoabench.kernels.loading import Compiled, check_engine
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
+from aoabench.params import param
 from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
@@ -38,20 +38,15 @@ KERNELS = "kernels.kalman"
 
 @dataclass(frozen=True)
 class _Kalman(Compiled, Filter):
-    """The recursion that both filters share; the scenario brings the motion model and the prior.
+    """The recursion that both filters share; the scenario brings the motion model and the prior."""
 
-    `engine`: `auto` takes the compiled kernel where there is one for the measurement model, `numpy`
-    never does.
-    """
-
-    measurement: Measurement = field()
+    measurement: Measurement = param(
+        help="what the filter believes of the measurements", kind=Measurement
+    )
     _: KW_ONLY
-    engine: str = "auto"
+    engine: str = engine_param()
     tile = 128
     kernels = KERNELS
-
-    def __post_init__(self) -> None:
-        check_engine(self.engine)
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile or load the kernels, where there is one for the measurement model."""
@@ -166,21 +161,18 @@ class EKF(_Kalman):
 
 @dataclass(frozen=True)
 class UKF(_Kalman):
-    """Unscented Kalman filter with 2 n + 1 sigma points [Nurminen 2018, Alg. 3]; `lambda_` >= 0
-    spreads them.
+    """Unscented Kalman filter with 2 n + 1 sigma points [Nurminen 2018, Alg. 3].
 
-    Angles are averaged as deviations from the central point's. Where the variances depend on the
-    state, `form` says how: `averaged` over the sigma points, at the `centre`, or `augmented` (the
-    noise is a part of the sigma points).
+    Angles are averaged as deviations from the central point's.
     """
 
-    lambda_: float = 0.5
-    form: str = "averaged"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_number("lambda_", self.lambda_, least=0)
-        check_choice("form", self.form, ("averaged", "centre", "augmented"))
+    lambda_: float = param(0.5, "spread of the sigma points", least=0)
+    form: str = param(
+        "averaged",
+        "variances that depend on the state: averaged over the sigma points, at the centre, "
+        "or augmented (the noise is a part of the sigma points)",
+        choices=("averaged", "centre", "augmented"),
+    )
 
     def kind(self) -> int | None:
         if type(self) is not UKF or self.form == "augmented":

@@ -15,18 +15,19 @@ one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_number
+from aoabench.errors import BadValue
 from aoabench.filters.compiled import kind_of
 from aoabench.filters.particle_inputs import KernelDraws, shared_normals, terms, weights_table
 from aoabench.filters.trace import innovations
-from aoabench.kernels.loading import Compiled, check_engine, load
+from aoabench.kernels.loading import Compiled, engine_param, load
 from aoabench.maths.geometry import Array
+from aoabench.params import param
 from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import PARTICLES, Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome
@@ -73,27 +74,27 @@ class Posterior(NamedTuple):
 
 @dataclass(frozen=True)
 class ParticleFilter(Compiled, Filter):
-    """`particles` > 0 of them; resampled where the effective number falls below the fraction
-    `resample_below`.
+    """A bootstrap particle filter with systematic resampling.
 
     Every draw depends on the replication alone, never on the weights: all particle filters of one
-    replication move their particles by the same noise. `engine`: `auto` takes the compiled kernel
-    where there is one for the measurement model and the state is the position; `numpy` never does,
-    and has draws of its own; `double` is `numpy` along the kernel's draws, to see what single
-    precision does.
+    replication move their particles by the same noise. The compiled kernel needs a state that is
+    the position alone. The engine `numpy` has draws of its own; `double` is `numpy` along the
+    kernel's draws, to see what single precision does.
     """
 
-    measurement: Measurement = field()
-    particles: int = 10_000
-    resample_below: float = 0.1
-    engine: str = "auto"
+    measurement: Measurement = param(
+        help="what the filter believes of the measurements", kind=Measurement
+    )
+    particles: int = param(10_000, "number of particles", least=1, most=10_000_000)
+    resample_below: float = param(
+        0.1,
+        "fraction of effective particles below which they are resampled",
+        least=0,
+        most=1,
+    )
+    engine: str = engine_param("double")
     tile = 1  # one replication at a time: the particles are the batch
     kernels = KERNELS
-
-    def __post_init__(self) -> None:
-        check_number("particles", self.particles, least=1, most=10_000_000, integer=True)
-        check_number("resample_below", self.resample_below, least=0, most=1)
-        check_engine(self.engine, ("double",))
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile or load the kernels, where there is one for the measurement model."""

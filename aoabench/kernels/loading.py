@@ -7,19 +7,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from types import ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from aoabench.errors import check_choice
+from aoabench.params import param
 from aoabench.types import Anchors
 
 ENGINES = ("auto", "numpy")
 
 
-def check_engine(engine: str, more: tuple[str, ...] = ()) -> None:
-    """Raise BadValue unless it is one: `auto` takes a kernel where there is one, `numpy` never
-    does.
-    """
-    check_choice("engine", engine, (*ENGINES, *more))
+def engine_param(*more: str) -> Any:
+    """The parameter `engine` of an estimator with kernels; `more` choices beside the usual ones."""
+    help = "auto: compiled kernels where there are some; numpy: without them"
+    return param("auto", help, choices=(*ENGINES, *more))
 
 
 class Compiled:

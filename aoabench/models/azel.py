@@ -12,10 +12,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_choice, check_number
+from aoabench.errors import BadValue
 from aoabench.maths.directional import flipped_azimuth_std, flipped_elevation_moments
 from aoabench.maths.geometry import Array, in_frames, rotations_for, to_azel, wrap
 from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
+from aoabench.params import param
 from aoabench.roles import Calibration, Measurement, Noise
 from aoabench.types import Anchors, Batch
 
@@ -24,15 +25,16 @@ _RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative on the pole axis, wh
 
 @dataclass(frozen=True)
 class AzEl(Measurement):
-    """AE model with constant deviations: `sigma_deg` (0, 180], or null for what each measurement
-    states itself.
-    """
+    """AE model with constant deviations."""
 
-    sigma_deg: float | None = None
+    sigma_deg: float | None = param(
+        None,
+        "standard deviation of both angles; null: those that the measurements state",
+        unit="deg",
+        above=0,
+        most=180,
+    )
     kernel = "azel"
-
-    def __post_init__(self) -> None:
-        check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
 
     @property
     def needs(self) -> frozenset[str]:
@@ -104,18 +106,20 @@ class AzEl(Measurement):
 class AzElFitted(AzEl):
     """AE model with the deviations fitted to the data's noise over uniform directions.
 
-    `fit: own` computes them; `fit: printed` takes the paper's pair where it prints one (sigma = 10
-    deg: 18 and 10 deg with Model I, 21 and 10 deg with Model II; erratum N12) and computes them
-    elsewhere.
+    The paper prints a pair for sigma = 10 deg: 18 and 10 deg with Model I, 21 and 10 deg with Model
+    II; erratum N12.
     """
 
-    fit: str = "printed"
-    noise: Noise | None = None
+    fit: str = param(
+        "printed",
+        "printed: the paper's deviations where it prints some, else computed; own: computed",
+        choices=("printed", "own"),
+    )
+    noise: Noise | None = param(None, "to which the deviations are fitted", kind=Noise)
     kernel = "azel"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_choice("fit", self.fit, ("printed", "own"))
         _calibration_of(self.noise)
 
     @property
@@ -159,7 +163,9 @@ class AzElAdaptive(AzEl):
     steps.
     """
 
-    noise: Noise | None = None
+    noise: Noise | None = param(
+        None, "whose nominal deviation the table of Model I is made for", kind=Noise
+    )
     kernel = "azel_adaptive"
 
     def __post_init__(self) -> None:

@@ -6,19 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.errors import param
 from aoabench.maths.geometry import Array
+from aoabench.params import param
 from aoabench.roles import Motion
 
 
 @dataclass(frozen=True)
 class RandomWalk(Motion):
-    """theta_k = theta_{k-1} + w, w ~ N(0, dt diag(q_xy^2, q_xy^2, q_z^2)) [Nurminen 2018, (13)]; q
-    in m / s^(1/2).
-    """
+    """theta_k = theta_{k-1} + w, w ~ N(0, dt diag(q_xy^2, q_xy^2, q_z^2)) [Nurminen 2018, (13)]."""
 
-    q_xy: float = param(0.5, "of x and y", unit="m/s^(1/2)", least=1e-6, most=1e6)
-    q_z: float = param(0.1, "of z", unit="m/s^(1/2)", least=1e-6, most=1e6)
+    q_xy: float = param(0.5, "spread of x and y", unit="m/s^(1/2)", least=1e-6, most=1e6)
+    q_z: float = param(0.1, "spread of z", unit="m/s^(1/2)", least=1e-6, most=1e6)
 
     def matrices(self, dt: float) -> tuple[Array, Array]:
         """F (3, 3) and Q (3, 3) m^2 for a step of dt s."""
@@ -30,8 +28,7 @@ class ConstantAcceleration(Motion):
     """s_k = F s_{k-1} + w, w ~ N(0, Q), of the state x, y, z, vx, vy, vz, ax, ay, az [Lu 2019,
     (15), (19)].
 
-    The acceleration is a Wiener process: the jerk is white with the spectral density `q` in m^2/s^5
-    in each direction.
+    The acceleration is a Wiener process: the jerk is white in each direction.
     """
 
     q: float = param(help="spectral density of the jerk", unit="m^2/s^5", above=0, most=1e6)

@@ -10,26 +10,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_number
+from aoabench.errors import BadValue
 from aoabench.maths.directional import kappa_from_sigma, vmf_log_peak
 from aoabench.maths.geometry import Array, in_frames, rotations_for, to_unit
 from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
+from aoabench.params import param
 from aoabench.roles import Measurement
 from aoabench.types import Anchors, Batch
 
 
 @dataclass(frozen=True)
 class UnitVector(Measurement):
-    """u_j ~ VMF(R_j (theta - s_j) / |theta - s_j|, kappa) [Nurminen 2018, (5) with R_j, (9)].
+    """u_j ~ VMF(R_j (theta - s_j) / |theta - s_j|, kappa) [Nurminen 2018, (5) with R_j, (9)]."""
 
-    `kappa` > 0, or null for what each measurement's stated deviations give by (7).
-    """
-
-    kappa: float | None = None
+    kappa: float | None = param(
+        None,
+        "concentration; null: what the measurements' stated deviations give by (7)",
+        above=0,
+        most=1e15,
+    )
     kernel = "unit_vector"
-
-    def __post_init__(self) -> None:
-        check_number("kappa", self.kappa, above=0, most=1e15, optional=True)
 
     @property
     def needs(self) -> frozenset[str]:

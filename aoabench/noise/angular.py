@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from aoabench import bounds
-from aoabench.errors import BadValue, check_number
+from aoabench.errors import BadValue
 from aoabench.maths.directional import (
     flip,
     flipped_azimuth_std,
@@ -25,33 +25,31 @@ from aoabench.maths.directional import (
 )
 from aoabench.maths.geometry import Array, in_frames, to_azel, to_unit, wrap
 from aoabench.noise.mounting import MountedNoise
+from aoabench.params import param
 from aoabench.roles import Calibration, Scenario
 from aoabench.types import Anchors, Measurements
 
 
 @dataclass(frozen=True)
 class _Angular(MountedNoise):
-    """sigma_deg (0, 180] or kappa > 0, either derived from the other by kappa = 1 / sigma^2
-    [Nurminen 2018, (7)].
-
-    Where neither is given, sigma is `default_sigma_deg`; both at once raise BadValue.
+    """Angles of a nominal deviation sigma or concentration kappa = 1 / sigma^2, either derived from
+    the other [Nurminen 2018, (7)]; both at once raise BadValue.
     """
 
-    sigma_deg: float | None = None
-    kappa: float | None = None
-    default_sigma_deg: float = 10.0
+    sigma_deg: float | None = param(
+        None, "nominal standard deviation", unit="deg", above=0, least=1e-5, most=180
+    )
+    kappa: float | None = param(
+        None, "instead of sigma_deg: sigma = 1 / sqrt(kappa) rad", above=0, least=1e-6, most=1e12
+    )
+    default_sigma_deg: float = param(
+        10.0, "holds where neither is given", unit="deg", above=0, least=1e-5, most=180
+    )
     # fitted (azimuth, elevation) at sigma = 10 deg, where a paper prints them
     printed_fit_deg: ClassVar[tuple[float, float] | None] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_number("sigma_deg", self.sigma_deg, above=0, most=180, optional=True)
-        check_number("kappa", self.kappa, above=0, optional=True)
-        if self.sigma_deg is not None:  # what floating point and the tables can carry
-            check_number("sigma_deg", self.sigma_deg, least=1e-5, most=180)
-        if self.kappa is not None:
-            check_number("kappa", self.kappa, least=1e-6, most=1e12)
-        check_number("default_sigma_deg", self.default_sigma_deg, above=0, most=180)
         if self.sigma_deg is not None and self.kappa is not None:
             raise BadValue(
                 "kappa",

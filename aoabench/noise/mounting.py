@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from aoabench.errors import check_number
 from aoabench.maths.geometry import euler
+from aoabench.params import param
 from aoabench.roles import Noise, Scenario
 from aoabench.types import Anchors
+
+
+def _mounting(axis: str) -> Any:
+    help = f"standard deviation of the error of each anchor's known rotation about its {axis} axis"
+    return param(0.0, help, unit="deg", least=0, most=180)
 
 
 @dataclass(frozen=True)
 class MountedNoise(Noise):
     """A noise whose anchors may be mounted wrongly.
 
-    mounting_yaw_deg, mounting_pitch_deg and mounting_roll_deg are the standard deviations of the
-    angles by which the known orientation of an anchor is off, drawn once per replication for each
-    anchor: yaw about its z axis, then pitch about its y axis, then roll about its x axis.
+    The errors are drawn once per replication for each anchor: yaw about its z axis, then pitch
+    about its y axis, then roll about its x axis.
     """
 
     _: KW_ONLY
-    mounting_yaw_deg: float = 0.0
-    mounting_pitch_deg: float = 0.0
-    mounting_roll_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        for axis in ("yaw", "pitch", "roll"):
-            key = f"mounting_{axis}_deg"
-            check_number(key, getattr(self, key), least=0, most=180)
+    mounting_yaw_deg: float = _mounting("z")
+    mounting_pitch_deg: float = _mounting("y")
+    mounting_roll_deg: float = _mounting("x")
 
     def known_anchors(self, rng: np.random.Generator, scenario: Scenario) -> Anchors:
         """The true anchors (1, T|1, B, ...), their rotations with this replication's errors."""

@@ -23,18 +23,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_array, check_number
 from aoabench.maths.directional import flip
 from aoabench.maths.geometry import Array, to_azel
 from aoabench.noise.mounting import MountedNoise
+from aoabench.params import param
 from aoabench.roles import Scenario
 from aoabench.types import Measurements
 
 _WAVES = 32  # plane waves that make up a field
+
+
+def _angle(default: float, help: str) -> Any:
+    return param(default, help, unit="deg", least=0, most=180)
+
+
+def _each_anchor(default: tuple[float, ...], help: str) -> Any:
+    allowed = "a list of numbers >= 0, one for each anchor"
+    return param(default, help, shape=(None,), least=0, allowed=allowed)
 
 
 class _Channel(NamedTuple):
@@ -49,66 +58,76 @@ class _Channel(NamedTuple):
 
 @dataclass(frozen=True)
 class BleMultipath(MountedNoise):
-    """What each parameter means stands beside it in configs/noise/ble_multipath.yaml; angles in
-    deg, lengths in m.
+    """The parameters stand in the order in which they act; further anchors take the last of a list
+    for anchors.
     """
 
-    azimuth_noise_deg: float = 3.0
-    elevation_noise_deg: float = 3.0
-    pole_floor: float = 0.3
-    steep_deg: float = 12.0
-    steep_power: float = 2.0
-    azimuth_bias_deg: float = 5.0
-    elevation_bias_deg: float = 5.0
-    correlation_m: float = 1.5
-    bias_scale: Sequence[float] = (1.0,)
-    azimuth_day_deg: float = 1.0
-    elevation_day_deg: float = 1.0
-    disturbed: Sequence[float] = (0.3, 0.1)
-    pull: Sequence[float] = (0.3,)
-    pull_spread: float = 1.0
-    outliers: float = 0.02
-    outlier_deg: float = 20.0
-    lost: float = 0.0334
-    rssi_1m_dbm: float = -45.0
-    rssi_exponent: float = 2.0
-    shadowing_db: float = 4.0
-    fading_db: float = 4.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for key in ("azimuth_noise_deg", "elevation_noise_deg", "correlation_m"):
-            check_number(key, getattr(self, key), above=0)
-        for key in (
-            "steep_deg",
-            "azimuth_bias_deg",
-            "elevation_bias_deg",
-            "azimuth_day_deg",
-            "elevation_day_deg",
-        ):
-            check_number(key, getattr(self, key), least=0, most=180)
-        for key in (
-            "steep_power",
-            "pull_spread",
-            "outlier_deg",
-            "rssi_exponent",
-            "shadowing_db",
-            "fading_db",
-        ):
-            check_number(key, getattr(self, key), least=0)
-        for key in ("outliers", "lost", "pole_floor"):
-            check_number(key, getattr(self, key), least=0, most=1)
-        check_number("rssi_1m_dbm", self.rssi_1m_dbm)
-        for key in ("bias_scale", "pull"):
-            if not np.all(check_array(key, getattr(self, key), (None,)) >= 0):
-                raise BadValue(
-                    key, list(getattr(self, key)), "a list of numbers >= 0, one for each anchor"
-                )
-        share = check_array("disturbed", self.disturbed, (None,))
-        if not np.all((share >= 0) & (share <= 1)):
-            raise BadValue(
-                "disturbed", list(self.disturbed), "a list of shares from 0 to 1, one for each day"
-            )
+    azimuth_noise_deg: float = param(
+        3.0,
+        "standard deviation of the azimuth's normal noise, which is divided by the cosine of the "
+        "elevation",
+        unit="deg",
+        above=0,
+    )
+    elevation_noise_deg: float = param(
+        3.0, "standard deviation of the elevation's normal noise", unit="deg", above=0
+    )
+    pole_floor: float = param(
+        0.3, "that the cosine of the elevation counts as at least", least=0, most=1
+    )
+    steep_deg: float = _angle(12.0, "by which an elevation at the horizon is measured too steep")
+    steep_power: float = param(
+        2.0, "power of (angle from the pole / 90 deg) by which that error falls", least=0
+    )
+    azimuth_bias_deg: float = _angle(
+        5.0, "standard deviation over the floor of each anchor's azimuth bias"
+    )
+    elevation_bias_deg: float = _angle(
+        5.0, "standard deviation over the floor of each anchor's elevation bias"
+    )
+    correlation_m: float = param(
+        1.5, "correlation length of all fields over the floor", unit="m", above=0
+    )
+    bias_scale: Sequence[float] = _each_anchor((1.0,), "factor on the bias fields of each anchor")
+    azimuth_day_deg: float = _angle(
+        1.0, "standard deviation of each anchor's azimuth offset of a day"
+    )
+    elevation_day_deg: float = _angle(
+        1.0, "standard deviation of each anchor's elevation offset of a day"
+    )
+    disturbed: Sequence[float] = param(
+        (0.3, 0.1),
+        "share of the packets of each day that finds the channel disturbed, at all anchors",
+        shape=(None,),
+        least=0,
+        most=1,
+        allowed="a list of shares from 0 to 1, one for each day",
+    )
+    pull: Sequence[float] = _each_anchor(
+        (0.3,),
+        "strength s of each anchor's wall images: directions go to them by 1 - exp(-s e), "
+        "e exponential of mean 1",
+    )
+    pull_spread: float = param(
+        1.0, "standard deviation over the floor of ln s, whose mean is ln(pull)", least=0
+    )
+    outliers: float = param(
+        0.02, "share of measurements with a Laplace error on top", least=0, most=1
+    )
+    outlier_deg: float = param(20.0, "scale of the Laplace errors", unit="deg", least=0)
+    lost: float = param(0.0334, "share of measurements that do not arrive", least=0, most=1)
+    rssi_1m_dbm: float = param(-45.0, "signal strength at 1 m", unit="dBm")
+    rssi_exponent: float = param(2.0, "path loss exponent", least=0)
+    shadowing_db: float = param(
+        4.0,
+        "standard deviation over the floor of each anchor's shadowing",
+        unit="dB",
+        least=0,
+        most=100,
+    )
+    fading_db: float = param(
+        4.0, "standard deviation of the signal strength from packet to packet", unit="dB", least=0
+    )
 
     def offers(self) -> frozenset[str]:
         """Elevations, signal strengths and the deviations of the angles."""

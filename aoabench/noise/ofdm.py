@@ -17,12 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from aoabench.errors import BadValue, check_choice, check_number
 from aoabench.maths.geometry import LIGHT, Array, in_frames, to_azel, wrap
 from aoabench.noise.mounting import MountedNoise
+from aoabench.params import param
 from aoabench.roles import Scenario
 from aoabench.types import Anchors, Measurements
 
@@ -30,50 +31,60 @@ PRINTED = ("gain",)  # errata that can be run as printed
 NEAREST = 1.0  # m; the path loss model does not know anything nearer
 
 
+def _level(default: float, help: str, unit: str) -> Any:
+    return param(default, help, unit=unit, least=-300, most=300)
+
+
+def _length(default: float, help: str) -> Any:
+    return param(default, help, unit="m", least=0, most=1e6)
+
+
 @dataclass(frozen=True)
 class OfdmCrlb(MountedNoise):
     """What access nodes (ANs) measure of a robot's pilots, and how well they are known themselves.
 
-    An AN's frame has its array's broadside as x and up as z. `an_sigma_m` is the deviation of the
-    known position in x and in y, `an_sigma_m / an_beta` in z; drawn once per replication, for each
-    AN (`independent`) or one for all (`common`). `as_printed: [gain]` takes the beamforming gain
-    into (8) a second time.
+    An AN's frame has its array's broadside as x and up as z. Errors of the known positions are
+    drawn once per replication.
     """
 
-    carrier_ghz: float = 39.0
-    subcarrier_khz: float = 120.0
-    subcarriers: int = 1024
-    power_dbm: float = 27.0
-    array_gain_db: float = 20.0
-    elements: int = 10
-    noise_dbm: float = -84.0
-    shadowing_db: float = 3.0
-    shadowing_m: float = 10.0
-    cosine_floor: float = 0.02
-    clock_ns: float = 10.0
-    an_sigma_m: float = 0.0
-    an_beta: float = 10.0
-    an_error: str = "independent"
-    as_printed: Sequence[str] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for key in ("carrier_ghz", "subcarrier_khz", "an_beta"):
-            check_number(key, getattr(self, key), above=0, most=1e6)
-        check_number("subcarriers", self.subcarriers, least=2, most=10_000_000, integer=True)
-        check_number("elements", self.elements, least=2, most=100_000, integer=True)
-        for key in ("power_dbm", "array_gain_db", "noise_dbm"):
-            check_number(key, getattr(self, key), least=-300, most=300)
-        check_number("shadowing_db", self.shadowing_db, least=0, most=100)
-        check_number("shadowing_m", self.shadowing_m, least=0, most=1e6)
-        check_number("cosine_floor", self.cosine_floor, above=0, most=1)
-        check_number("clock_ns", self.clock_ns, least=0, most=1e9)
-        check_number("an_sigma_m", self.an_sigma_m, least=0, most=1e6)
-        check_choice("an_error", self.an_error, ("independent", "common"))
-        for flag in self.as_printed:
-            check_choice("as_printed", flag, PRINTED)
-        if isinstance(self.as_printed, str):
-            raise BadValue("as_printed", self.as_printed, f"a list of {', '.join(PRINTED)}")
+    carrier_ghz: float = param(39.0, "carrier frequency", unit="GHz", above=0, most=1e6)
+    subcarrier_khz: float = param(120.0, "subcarrier spacing", unit="kHz", above=0, most=1e6)
+    subcarriers: int = param(1024, "number of subcarriers", least=2, most=10_000_000)
+    power_dbm: float = _level(27.0, "transmitted power", "dBm")
+    array_gain_db: float = _level(20.0, "gain of receive beamforming", "dB")
+    elements: int = param(10, "antenna elements along one side of the array", least=2, most=100_000)
+    noise_dbm: float = _level(-84.0, "noise power over the bandwidth", "dBm")
+    shadowing_db: float = param(
+        3.0, "standard deviation of the shadowing", unit="dB", least=0, most=100
+    )
+    shadowing_m: float = _length(
+        10.0, "correlation distance of the shadowing; 0: independent from step to step"
+    )
+    cosine_floor: float = param(
+        0.02,
+        "least cosine of the angle off broadside: the angles' bound is infinite along the array",
+        above=0,
+        most=1,
+    )
+    clock_ns: float = param(
+        10.0,
+        "standard deviation of each time of arrival by the clocks",
+        unit="ns",
+        least=0,
+        most=1e9,
+    )
+    an_sigma_m: float = _length(0.0, "standard deviation of an AN's known position in x and in y")
+    an_beta: float = param(10.0, "by which that deviation is smaller in z", above=0, most=1e6)
+    an_error: str = param(
+        "independent",
+        "errors of the known positions: independent for each AN, or one common to all",
+        choices=("independent", "common"),
+    )
+    as_printed: Sequence[str] = param(
+        (),
+        "errata to run as printed: gain, (8) takes the beamforming gain a second time",
+        choices=PRINTED,
+    )
 
     # --- the link ---------------------------------------------------------------------------------
 

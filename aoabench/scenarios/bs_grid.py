@@ -9,10 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
-from aoabench.errors import UserError, check_array, check_choice, check_number
+from aoabench.errors import UserError
 from aoabench.maths.geometry import Array
+from aoabench.params import param
 from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
+from aoabench.scenarios.parameters import dt_param, layout_param, name_param, size_param
 from aoabench.types import Anchors
 
 ZONES = ("strip", "disc", "ring", "none")
@@ -20,7 +22,7 @@ ZONES = ("strip", "disc", "ring", "none")
 
 @dataclass(frozen=True)
 class BsGrid(Scenario):
-    """`positions` points, uniform over the box from 0 to `size_m`, the same in every replication.
+    """Points uniform over the box from 0 to `size_m`, the same in every replication.
 
     `zone` keeps them from the base stations: `strip` wants |x - x_i| and |y - y_i| of at least
     `clearance_m` for each, `disc` a horizontal distance of that much, `none` nothing; `ring` puts
@@ -28,22 +30,21 @@ class BsGrid(Scenario):
     motion and no prior: every fix stands alone.
     """
 
-    name: str
-    anchors: AnchorLayout
-    positions: int = 1000
-    size_m: tuple[float, float, float] = (1000.0, 1000.0, 20.0)
-    zone: str = "strip"
-    clearance_m: float = 20.0
-    dt: float = 1.0
-    motion: None = None
+    name: str = name_param()
+    anchors: AnchorLayout = layout_param()
+    positions: int = param(1000, "number of points", least=1, most=1_000_000)
+    size_m: tuple[float, float, float] = size_param((1000.0, 1000.0, 20.0))
+    zone: str = param("strip", "how points keep from the base stations, see above", choices=ZONES)
+    clearance_m: float = param(
+        20.0,
+        "distance kept: in x and in y (strip), at least (disc) or exactly (ring) horizontally",
+        unit="m",
+        least=0,
+        most=1e6,
+    )
+    dt: float = dt_param(1.0)
+    motion: None = param(None, "none: every fix stands alone")
     shares_positions = True  # the positions belong to the seed, not to the replication
-
-    def __post_init__(self) -> None:
-        check_number("positions", self.positions, least=1, most=1_000_000, integer=True)
-        if not np.all(check_array("size_m", self.size_m, (3,)) > 0):
-            raise UserError(f"size_m={list(self.size_m)}: allowed: three numbers > 0")
-        check_choice("zone", self.zone, ZONES)
-        check_number("clearance_m", self.clearance_m, least=0, most=1e6)
 
     @cached_property
     def true_anchors(self) -> Anchors:

@@ -6,21 +6,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from aoabench.devices import plan
-from aoabench.errors import BadValue, check_array, check_choice, check_number
+from aoabench.errors import BadValue, check_array
 from aoabench.maths.geometry import Array
-from aoabench.models.motion import ConstantAcceleration
+from aoabench.params import param
 from aoabench.roles import Motion, Scenario
+from aoabench.scenarios.parameters import name_param
 from aoabench.scenarios.route import RoundedRoute
 from aoabench.types import Anchors
 
 MOST_STEPS = 1_000_000
+STATE = "a motion model of position, velocity and acceleration (9 numbers)"
+
+
+def _prior_sigma(default: float, help: str, unit: str) -> Any:
+    return param(default, help, unit=unit, least=1e-9, most=1e6)
 
 
 @dataclass(frozen=True)
@@ -28,53 +35,74 @@ class IndoorMap(Scenario):
     """One trial: the route once, at constant horizontal speed, its corners rounded to arcs, its
     height linear.
 
-    `anchors` and `walls` are files (see `plan`). Of the ANs in line of sight (seen from above) the
-    network reports the `nearest` so many, by true distance, which are also the strongest; null:
-    all. Filters believe `motion` and start from a mean drawn around the true start (position) or
-    zero (velocity, acceleration), with the deviations `prior_sigma_*`. With `truth_from: model`
-    there is no route to follow: the true states are drawn from that prior, at the first waypoint,
-    and from `motion`, so that everything a filter believes is true.
+    The files of anchors and walls are described in `devices.plan`. Of the ANs in line of sight
+    (seen from above) the network reports the nearest, by true distance, which are also the
+    strongest. Filters start from a mean drawn around the true start (position) or zero (velocity,
+    acceleration). With `truth_from: model` there is no route to follow: the true states are drawn
+    from the prior, at the first waypoint, and from `motion`, so that everything a filter believes
+    is true.
     """
 
-    name: str
-    anchors: str
-    route: Sequence[Sequence[float]]
-    motion: ConstantAcceleration = field()
-    walls: str | None = field()
-    corner_radius_m: float = 2.0
-    speed_m_s: float = 1.1
-    height_m: tuple[float, float] = (1.0, 2.0)
-    dt: float = 0.1
-    nearest: int | None = 8
-    prior_sigma_xy_m: float = 1.0
-    prior_sigma_z_m: float = 0.1
-    prior_sigma_velocity_m_s: float = 1.0
-    prior_sigma_acceleration_m_s2: float = 0.5
-    truth_from: str = "route"
-    steps: int | None = None
+    name: str = name_param()
+    anchors: str = param(
+        help="file of the ANs, with the columns x_m, y_m, z_m, facing_deg",
+        allowed="an existing file",
+    )
+    route: Sequence[Sequence[float]] = param(help="waypoints, K rows", unit="m", shape=(None, 2))
+    motion: Motion = param(
+        help="what filters believe of the target's way", kind=Motion, allowed=STATE
+    )
+    walls: str | None = param(
+        help="file of the walls, GeoJSON or CSV with x0_m, y0_m, x1_m, y1_m; null: no walls",
+        allowed="an existing file, or null",
+    )
+    corner_radius_m: float = param(
+        2.0, "radius of the arcs that replace the route's corners", unit="m", least=1e-3, most=1e6
+    )
+    speed_m_s: float = param(1.1, "horizontal speed", unit="m/s", least=1e-3, most=1e6)
+    height_m: tuple[float, float] = param(
+        (1.0, 2.0),
+        "height at the start and at the end of the route, linear between",
+        unit="m",
+        shape=(2,),
+    )
+    dt: float = param(0.1, "time from step to step", unit="s", least=1e-3, most=1e3)
+    nearest: int | None = param(
+        8,
+        "number of ANs that report, the nearest in line of sight; null: all in line of sight",
+        least=1,
+        most=1_000_000,
+    )
+    prior_sigma_xy_m: float = _prior_sigma(
+        1.0, "standard deviation in x and in y of the mean that filters start from", "m"
+    )
+    prior_sigma_z_m: float = _prior_sigma(0.1, "standard deviation in z of that mean", "m")
+    prior_sigma_velocity_m_s: float = _prior_sigma(
+        1.0, "standard deviation of the velocity around its mean 0", "m/s"
+    )
+    prior_sigma_acceleration_m_s2: float = _prior_sigma(
+        0.5, "standard deviation of the acceleration around its mean 0", "m/s^2"
+    )
+    truth_from: str = param(
+        "route",
+        "route: the way through the waypoints; model: states drawn from the prior and the motion",
+        choices=("route", "model"),
+    )
+    steps: int | None = param(
+        None,
+        "number of steps, only with truth_from=model; null: as many as the route has",
+        least=1,
+        most=MOST_STEPS,
+    )
 
     def __post_init__(self) -> None:
-        check_array("height_m", self.height_m, (2,))
-        for key, most in (("corner_radius_m", 1e6), ("speed_m_s", 1e6), ("dt", 1e3)):
-            check_number(key, getattr(self, key), least=1e-3, most=most)
-        for key in ("xy_m", "z_m", "velocity_m_s", "acceleration_m_s2"):
-            check_number(
-                f"prior_sigma_{key}", getattr(self, f"prior_sigma_{key}"), least=1e-9, most=1e6
-            )
-        check_number("nearest", self.nearest, least=1, most=1_000_000, integer=True, optional=True)
-        check_number("steps", self.steps, least=1, most=MOST_STEPS, integer=True, optional=True)
-        check_choice("truth_from", self.truth_from, ("route", "model"))
+        super().__post_init__()
         if self.truth_from == "route" and self.steps is not None:
             raise BadValue("steps", self.steps, "null with truth_from=route, whose length decides")
-        if not isinstance(self.motion, Motion) or len(self.motion.matrices(self.dt)[0]) != 9:
-            raise BadValue(
-                "motion", self.motion, "a model of position, velocity and acceleration (9 numbers)"
-            )
-        _ = (
-            self._path,
-            self.true_anchors,
-            self.wall_segments,
-        )  # reads the files: what is wrong with them is said now
+        if len(self.motion.matrices(self.dt)[0]) != 9:
+            raise BadValue("motion", self.motion, STATE)
+        # reads the files, so that mistakes in them are reported now
+        _ = (self._path, self.true_anchors, self.wall_segments)
         if not 1 <= self.route_steps <= MOST_STEPS:
             allowed = (
                 f"one that cuts the route of {self._path.length:g} m into 1 to {MOST_STEPS} steps"

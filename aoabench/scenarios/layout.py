@@ -9,32 +9,39 @@ import numpy as np
 
 from aoabench.errors import BadValue, check_array
 from aoabench.maths.geometry import euler, facing
+from aoabench.params import CheckedParams, param
 from aoabench.types import Anchors
 
 
 @dataclass(frozen=True)
-class AnchorLayout:
-    """B anchors: `position_m` (B, 3) and `facing` (B, 3), where each anchor's pole (elevation 90
-    deg) looks.
+class AnchorLayout(CheckedParams):
+    """B anchors. The further rotation G turns each anchor's own one: R_j becomes G R_j."""
 
-    `facing: null` leaves every frame equal to the global one (pole up). `frame_rpy_deg` (roll,
-    pitch, yaw) turns all anchor frames by one further rotation G: R_j becomes G R_j.
-    """
-
-    position_m: Sequence[Sequence[float]]
-    facing: Sequence[Sequence[float]] | None = None
-    frame_rpy_deg: Sequence[float] = (0.0, 0.0, 0.0)
+    position_m: Sequence[Sequence[float]] = param(
+        help="where the anchors are, B rows", unit="m", shape=(None, 3)
+    )
+    facing: Sequence[Sequence[float]] | None = param(
+        None,
+        "where each anchor's pole (elevation 90 deg) looks, B rows; null: up, "
+        "every frame is the global one",
+        shape=(None, 3),
+    )
+    frame_rpy_deg: Sequence[float] = param(
+        (0.0, 0.0, 0.0),
+        "roll, pitch and yaw of one further rotation of all anchor frames",
+        unit="deg",
+        shape=(3,),
+    )
 
     def __post_init__(self) -> None:
-        position = check_array("position_m", self.position_m, (None, 3))
-        check_array("frame_rpy_deg", self.frame_rpy_deg, (3,))
+        super().__post_init__()
         if self.facing is not None:
             direction = check_array("facing", self.facing, (None, 3))
-            if len(direction) != len(position):
+            if len(direction) != len(self.position_m):
                 raise BadValue(
                     "facing",
                     f"{len(direction)} rows",
-                    f"one row per anchor, that is {len(position)}",
+                    f"one row per anchor, that is {len(self.position_m)}",
                 )
             if not np.all(np.linalg.norm(direction, axis=1) > 0):
                 raise BadValue("facing", [0, 0, 0], "a direction of length > 0")

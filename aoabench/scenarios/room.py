@@ -10,48 +10,51 @@ from functools import cached_property
 
 import numpy as np
 
-from aoabench.errors import UserError, check_array, check_number
+from aoabench.errors import BadValue, check_array, check_number
 from aoabench.maths.geometry import Array
+from aoabench.params import param
 from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
+from aoabench.scenarios.parameters import dt_param, layout_param, name_param, size_param
 from aoabench.types import Anchors
 
 
 @dataclass(frozen=True)
 class Room(Scenario):
-    """A box from 0 to `size_m` with `points_m` (N, 2), each visited for `packets` packets,
-    `height_m` above the floor.
+    """A box from 0 to `size_m` with reference points, each visited for some packets.
 
-    The packets of a point are spread evenly over `days` days, in order. A replication is one
-    campaign: every packet of every point, point by point. There is no motion and no prior;
-    estimators know the height and the room's sides.
+    A replication is one campaign: every packet of every point, point by point. There is no motion
+    and no prior; estimators know the height and the room's sides.
     """
 
-    name: str
-    anchors: AnchorLayout
-    points_m: Sequence[Sequence[float]]
-    size_m: tuple[float, float, float] = (7.2, 8.5, 3.0)
-    height_m: float = 1.0
-    packets: int = 100
-    days: int = 1
-    dt: float = 0.1
-    motion: None = None
+    name: str = name_param()
+    anchors: AnchorLayout = layout_param()
+    points_m: Sequence[Sequence[float]] = param(
+        help="the reference points, N rows", unit="m", shape=(None, 2)
+    )
+    size_m: tuple[float, float, float] = size_param((7.2, 8.5, 3.0))
+    height_m: float = param(
+        1.0, "height of the node above the floor, which estimators know", unit="m", least=0
+    )
+    packets: int = param(
+        100, "number of packets at each point in a replication", least=1, most=1_000_000
+    )
+    days: int = param(
+        1, "number of days over which a point's packets are spread evenly, in order", least=1
+    )
+    dt: float = dt_param(0.1)
+    motion: None = param(None, "none: every fix stands alone")
     shares_positions = True
 
     def __post_init__(self) -> None:
-        size = check_array("size_m", self.size_m, (3,))
-        if not np.all(size > 0):
-            raise UserError(f"size_m={list(self.size_m)}: allowed: three numbers > 0")
+        super().__post_init__()
         points = check_array("points_m", self.points_m, (None, 2))
-        for i in np.flatnonzero(((points < 0) | (points > size[:2])).any(axis=1)):
-            raise UserError(
-                f"points_m[{i}]={points[i].tolist()}: "
-                f"allowed: points in the room, {list(self.size_m)} m"
+        for i in np.flatnonzero(((points < 0) | (points > self.size_m[:2])).any(axis=1)):
+            raise BadValue(
+                f"points_m[{i}]", points[i].tolist(), f"points in the room, {list(self.size_m)} m"
             )
-        check_number("height_m", self.height_m, least=0, most=float(size[2]))
-        check_number("packets", self.packets, least=1, most=1_000_000, integer=True)
+        check_number("height_m", self.height_m, least=0, most=float(self.size_m[2]))
         check_number("days", self.days, least=1, most=self.packets, integer=True)
-        check_number("dt", self.dt, above=0)
 
     @cached_property
     def true_anchors(self) -> Anchors:

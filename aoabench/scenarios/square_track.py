@@ -4,44 +4,49 @@ IV-D].
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from math import gamma
 
 import numpy as np
 
-from aoabench.errors import check_number
+from aoabench.errors import BadValue
 from aoabench.maths.geometry import Array
-from aoabench.models.motion import RandomWalk
-from aoabench.roles import Scenario
+from aoabench.params import param
+from aoabench.roles import Motion, Scenario
 from aoabench.scenarios.layout import AnchorLayout
+from aoabench.scenarios.parameters import dt_param, layout_param, name_param
 from aoabench.types import Anchors
 
 
 @dataclass(frozen=True)
 class SquareTrack(Scenario):
-    """A target on a square of side `side_m` from (0, 0) counter-clockwise at height 0.
+    """A target on a square from (0, 0) counter-clockwise at height 0.
 
-    Per step of `dt` s it travels l ~ N(q sqrt(2 dt) Gamma(1.5), 2 q^2 dt (1 - Gamma(1.5)^2)) m, q =
-    `q_xy` m/s^(1/2) [(12); negative lengths are kept]; 64 steps of 0.25 s make one lap. Filters
-    believe `motion` and start from a mean drawn from N(true start, prior_sigma_m^2 I).
+    Per step it travels l ~ N(q sqrt(2 dt) Gamma(1.5), 2 q^2 dt (1 - Gamma(1.5)^2)) m, q = `q_xy`
+    [(12); negative lengths are kept]; 64 steps of 0.25 s make one lap. Filters start from a mean
+    drawn from N(true start, prior_sigma_m^2 I).
     """
 
-    name: str
-    anchors: AnchorLayout
-    motion: RandomWalk = field()
-    side_m: float = 5.0
-    steps: int = 64
-    dt: float = 0.25
-    q_xy: float = 0.5
-    prior_sigma_m: float = 1.0
+    name: str = name_param()
+    anchors: AnchorLayout = layout_param()
+    motion: Motion = param(help="what filters believe of the target's way", kind=Motion)
+    side_m: float = param(5.0, "side of the square", unit="m", least=1e-3, most=1e6)
+    steps: int = param(64, "number of steps", least=1, most=1_000_000)
+    dt: float = dt_param(0.25)
+    q_xy: float = param(0.5, "scale q of the step lengths", unit="m/s^(1/2)", least=1e-6, most=1e6)
+    prior_sigma_m: float = param(
+        1.0,
+        "standard deviation of the mean that filters start from, which they know",
+        unit="m",
+        least=1e-6,
+        most=1e6,
+    )
 
     def __post_init__(self) -> None:
-        check_number("side_m", self.side_m, least=1e-3, most=1e6)
-        check_number("steps", self.steps, least=1, most=1_000_000, integer=True)
-        check_number("dt", self.dt, least=1e-6, most=1e6)
-        check_number("q_xy", self.q_xy, least=1e-6, most=1e6)
-        check_number("prior_sigma_m", self.prior_sigma_m, least=1e-6, most=1e6)
+        super().__post_init__()
+        if len(self.motion.matrices(self.dt)[0]) != 3:
+            raise BadValue("motion", self.motion, "a motion model of the position (3 numbers)")
 
     @cached_property
     def true_anchors(self) -> Anchors:

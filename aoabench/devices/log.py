@@ -1,0 +1,213 @@
+"""The columns of a log as fixes, angles and true positions in our conventions.
+
+A row is what one anchor measured, or what the mobile measured of one anchor. Conventions are
+declared, never guessed; they are turned into ours (counter-clockwise azimuth from the anchor's +x,
+elevation up from its xy-plane):
+
+    azimuth = zero +- value                      elevation = value, -value or 90 deg - value
+    by the mobile: heading + azimuth + 180 deg   -elevation          both in global axes
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from aoabench.devices.table import Table, header
+from aoabench.errors import BadValue, did_you_mean
+from aoabench.maths.geometry import Array, wrap
+from aoabench.types import Measurements
+
+TURN = {"deg": 360.0, "rad": 2 * np.pi}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SAME_M = 1e-6  # rows of one fix whose true positions differ by less agree
+SIGMAS = ("error", "absent", "absolute")  # what a negative deviation means
+
+
+class Log(NamedTuple):
+    """A file's content: true positions (T, 3) m, measurements (T, B) and lines about what was
+    found.
+    """
+
+    truth: Array
+    measured: Measurements
+    notes: tuple[str, ...]
+
+
+class Conventions(NamedTuple):
+    """How a log's angles are to be read: the parameters of these names of a recorded scenario."""
+
+    azimuth_unit: str
+    azimuth_sense: str
+    azimuth_zero_deg: float
+    elevation_unit: str
+    elevation_kind: str
+    elevation_limit_deg: float
+    negative_sigma: str
+    frame: str
+    measured_by: str
+    heading_deg: float | None
+
+    @property
+    def needs_heading(self) -> bool:
+        """Whether the log has to have the mobile's heading."""
+        return (self.measured_by, self.frame, self.heading_deg) == ("mobile", "own", None)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each angle."""
+        return {"azimuth": self.azimuth_unit, "elevation": self.elevation_unit}
+
+
+def chosen_columns(
+    path: str, named: Mapping[str, str | None], defaults: Mapping[str, str], required: set[str]
+) -> dict[str, str]:
+    """Our names -> the file's, of the columns to read: those that `named` says, elsewhere the
+    default names, as far as the file has them. BadValue where it lacks one that is named or
+    required; a fix or a time is always required, x and y where one of x, y, z is there.
+    """
+    there = header("path", path)
+    chosen = {
+        ours: defaults[ours] if name is None and defaults[ours] in there else name
+        for ours, name in named.items()
+    }
+    if chosen["fix"] is not None:
+        chosen["time"] = None  # clocks need not compare then, nor be complete
+    required = required | ({"time"} if chosen["fix"] is None else set())
+    required |= {"x", "y"} if any(chosen[axis] for axis in "xyz") else set()
+    for ours, name in chosen.items():
+        if name is None and ours in required:
+            raise _no_column(ours, name, defaults[ours], path, there)
+        if name is not None and there.count(name) != 1:
+            raise _no_column(ours, name, name, path, there)
+    return {ours: name for ours, name in chosen.items() if name is not None}
+
+
+def _no_column(
+    ours: str, name: str | None, wanted: str, path: str, there: Sequence[str]
+) -> BadValue:
+    """The error for our column `ours`, whose name `wanted` the file lacks or has twice."""
+    default = f", by default called {wanted}," if name is None else ""
+    allowed = f"a column{default} of {path}, which has {', '.join(there)}"
+    if wanted in there:
+        allowed += f"; {wanted} is there {there.count(wanted)} times"
+    else:
+        allowed += did_you_mean(wanted, there)
+    if ours == "time":
+        allowed += "; or fix, a column that numbers what belongs together"
+    return BadValue(f"columns.{ours}", name, allowed)
+
+
+def known_anchors(
+    table: Table, ids: Sequence[str], strict: bool
+) -> tuple[Table, np.ndarray, list[str]]:
+    """The rows of the anchors `ids`, the number (N,) of each row's anchor, and lines about the rows
+    that are left out. BadValue for a row of another anchor if `strict`, and where no row is left.
+    """
+    anchor = table.indices("anchor", ids, strict=strict)
+    strangers = int((anchor < 0).sum())
+    if not strangers:
+        return table, anchor, []
+    if strangers == len(anchor):
+        raise table.bad(f"at least one row of a known anchor: {', '.join(ids[:20])}")
+    notes = [f"{table.path}: {strangers} rows of unknown anchors left out"]
+    return table.where(anchor >= 0), anchor[anchor >= 0], notes
+
+
+def fixes(table: Table, time_unit: str, window_s: float) -> tuple[np.ndarray, int]:
+    """The number (N,) of the fix that each row belongs to, and how many fixes there are.
+
+    Fixes are in order of their times, or of their first appearance where the table numbers them.
+    Rows up to `window_s` later than the first of a fix belong to it.
+    """
+    if "fix" in table.names:
+        code, ids = table.texts("fix")
+        return code, len(ids)
+    time = table.times("time") * (SECONDS[time_unit] if table.is_number("time") else 1.0)
+    moments, code = np.unique(time, return_inverse=True)
+    if window_s == 0:
+        return code, len(moments)
+    ordered, starts = moments.tolist(), np.zeros(len(moments), dtype=int)
+    begin = 0
+    while (begin := bisect_right(ordered, ordered[begin] + window_s, begin)) < len(ordered):
+        starts[begin] = 1
+    return np.cumsum(starts)[code], int(starts.sum()) + 1
+
+
+def angles(table: Table, given: Conventions) -> dict[str, Array]:
+    """Azimuth and elevation (N,) rad in our conventions, NaN where not measured, and those of their
+    deviations (N,) rad that the table has. Raises BadValue for a row that breaks the conventions.
+    """
+    found = {"azimuth": _azimuth(table, given), "elevation": _elevation(table, given)}
+    if given.measured_by == "mobile":
+        heading = given.heading_deg or 0.0
+        turn = table.numbers("heading", empty=False) if given.needs_heading else heading
+        found["azimuth"] = found["azimuth"] + np.deg2rad(turn) + np.pi
+        found["elevation"] = -found["elevation"]
+    found["azimuth"] = wrap(found["azimuth"])
+    for angle, unit in given.units.items():
+        column = f"{angle}_sigma"
+        if column in table.names:
+            sigma = table.numbers(column) * (2 * np.pi / TURN[unit])
+            if given.negative_sigma == "absent":
+                found[angle] = np.where(sigma < 0, np.nan, found[angle])
+            positive = np.where(sigma < 0, np.nan, sigma)
+            sigma = np.abs(sigma) if given.negative_sigma == "absolute" else positive
+            allowed = (
+                f"a number > 0 in {table.names[column]} "
+                f"for every {angle} that was measured; see negative_sigma"
+            )
+            table.check(column, np.isfinite(found[angle]) & ~(sigma > 0), allowed)
+            found[column] = sigma
+    return found
+
+
+def _azimuth(table: Table, given: Conventions) -> Array:
+    """Azimuths (N,) rad, counter-clockwise; those measured by the mobile in its own frame."""
+    turn = TURN[given.azimuth_unit]
+    raw = table.numbers("azimuth")
+    allowed = f"azimuths within +-{turn:.6g}, as azimuth_unit={given.azimuth_unit} declares"
+    table.check("azimuth", np.abs(raw) > turn * (1 + 1e-6), allowed)
+    sign = 1.0 if given.azimuth_sense == "counterclockwise" else -1.0
+    return np.deg2rad(given.azimuth_zero_deg) + sign * raw * (2 * np.pi / turn)
+
+
+def _elevation(table: Table, given: Conventions) -> Array:
+    """Elevations (N,) rad, up from the horizontal; NaN where the table has none."""
+    if "elevation" not in table.names:
+        return np.full(len(table.frame), np.nan)
+    turn, kind = TURN[given.elevation_unit], given.elevation_kind
+    raw, limit = table.numbers("elevation"), turn * given.elevation_limit_deg / 360
+    zeros = {"elevation": (0, 1), "depression": (0, -1), "zenith": (turn / 4, -1)}
+    middle, sign = zeros[kind]
+    allowed = (
+        f"{kind} angles from {middle - limit:.6g} to {middle + limit:.6g}, "
+        f"as elevation_kind={kind} and elevation_unit={given.elevation_unit} declare"
+    )
+    table.check("elevation", np.abs(raw - middle) > limit * (1 + 1e-6), allowed)
+    return sign * (raw - middle) * (2 * np.pi / turn)
+
+
+def doubts(table: Table, azimuth_unit: str) -> list[str]:
+    """A line if azimuths declared as deg look like rad."""
+    raw = table.numbers("azimuth")
+    raw = raw[np.isfinite(raw)]
+    if azimuth_unit == "rad" or len(raw) <= 20:
+        return []
+    if np.abs(raw).max() > 2 * np.pi or np.all(raw == np.rint(raw)):
+        return []
+    name = table.names["azimuth"]
+    return [f"{table.path}: all of {name} is within +-2 pi deg: if it is rad, azimuth_unit=rad"]
+
+
+def truth(table: Table, fix: np.ndarray, T: int) -> Array:
+    """True positions (T, 3) m, NaN where a fix has none; all rows of a fix that have one agree."""
+    nothing = np.full(T, np.nan)
+    found = np.stack(
+        [table.shared(a, fix, T, SAME_M) if a in table.names else nothing for a in "xyz"], axis=-1
+    )
+    found[np.isnan(found[:, :2]).any(axis=1)] = np.nan
+    return found

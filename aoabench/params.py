@@ -1,0 +1,156 @@
+"""Parameters of plug-ins: each states its default, meaning and limits where it is declared.
+
+    @dataclass(frozen=True)
+    class Mean(Estimator):
+        horizon_deg: float = param(1.0, "rays look at least this far down", above=0, most=89)
+
+`Mean(horizon_deg=90)` raises BadValue, from Python as from YAML.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import partial
+from typing import Any, cast
+
+from aoabench.errors import (
+    BadValue,
+    check_array,
+    check_bool,
+    check_choice,
+    check_number,
+    check_text,
+)
+
+Check = Callable[[str, object], object]  # of a key and a value; raises BadValue
+
+_LISTS = {"str": "texts", "int": "integers", "float": "numbers", "bool": "true and false"}
+
+
+@dataclass(frozen=True)
+class Param:
+    """What a parameter means, and which of the values that its annotation names are allowed.
+
+    help, unit: the meaning. above, least, most: a number lies in (above, most] and [least, most],
+    and so does each number of an array or a list. choices: the texts that are allowed, alone or in
+    a list. shape: of an array of numbers, None for any length >= 1. kind: the class of an object.
+    also: values that are allowed whatever the rest says. allowed: what messages say is allowed,
+    where the words made from all this do not do.
+    """
+
+    help: str
+    unit: str = ""
+    above: float = -math.inf
+    least: float = -math.inf
+    most: float = math.inf
+    choices: tuple[str, ...] = ()
+    shape: tuple[int | None, ...] = ()
+    kind: type | None = None
+    also: tuple[object, ...] = ()
+    allowed: str = ""
+
+    def check(self, key: str, value: object, annotation: str) -> None:
+        """Raise BadValue unless `value` fits; `annotation` is that of the field: int | None, ..."""
+        optional = annotation.endswith(" | None")
+        if value is None and optional:
+            return
+        if any(isinstance(value, type(one)) and value == one for one in self.also):
+            return
+        try:
+            self.check_of(annotation)(key, value)
+        except BadValue as error:
+            more = [*map(str, self.also), *(["null"] if optional else [])]
+            words = self.allowed or "".join([error.allowed, *(f", or {one}" for one in more)])
+            raise BadValue(key, error.value, words) from None
+
+    def check_of(self, annotation: str) -> Check:
+        """The check of values other than null; TypeError for an annotation that has none."""
+        kinds = annotation.split(" | ")
+        first = kinds[0]
+        limits: dict[str, Any] = {"above": self.above, "least": self.least, "most": self.most}
+        if self.kind is not None:
+            return partial(self._check_object, text="str" in kinds)
+        if first in ("float", "int"):
+            return partial(check_number, integer=first == "int", **limits)
+        if first == "bool":
+            return check_bool
+        if first == "str":
+            return partial(check_choice, choices=self.choices) if self.choices else check_text
+        if first == "None":
+            return _check_null
+        if self.shape and re.fullmatch(r"(Sequence|tuple)\[.*float\]+", first):
+            return partial(check_array, shape=self.shape, **limits)
+        if found := re.fullmatch(r"Sequence\[(str|int|float|bool|Any)\]", first):
+            return partial(self._check_list, of=found[1])
+        raise TypeError(f"a parameter of the type {annotation} has no check")
+
+    def _check_list(self, key: str, value: object, of: str) -> None:
+        if isinstance(value, str) or not isinstance(value, Sequence):
+            words = ", ".join(self.choices) or _LISTS.get(of, "values")
+            raise BadValue(key, value, f"a list of {words}")
+        if of != "Any":
+            for one in value:
+                self.check_of(of)(key, one)
+
+    def _check_object(self, key: str, value: object, text: bool) -> None:
+        assert self.kind is not None
+        if not isinstance(value, self.kind) and not (text and isinstance(value, str) and value):
+            name, module = self.kind.__name__, self.kind.__module__
+            path = f"aoabench.{name}" if module == "aoabench.roles" else f"{module}.{name}"
+            raise BadValue(key, value, f"a {name}: its class must derive from {path}")
+
+
+def _check_null(key: str, value: object) -> None:
+    if value is not None:
+        raise BadValue(key, value, "null")
+
+
+def param(
+    default: Any = MISSING,
+    help: str = "",
+    *,
+    unit: str = "",
+    above: float = -math.inf,
+    least: float = -math.inf,
+    most: float = math.inf,
+    choices: Sequence[str] = (),
+    shape: tuple[int | None, ...] = (),
+    kind: type | None = None,
+    also: tuple[object, ...] = (),
+    allowed: str = "",
+) -> Any:
+    """A dataclass field with its meaning and its limits (see Param); without `default` it must be
+    given. A class with such fields derives from CheckedParams, as the roles do.
+    """
+    known = Param(help, unit, above, least, most, tuple(choices), shape, kind, also, allowed)
+    return field(default=default, metadata={"param": known})
+
+
+class CheckedParams:
+    """Checks the fields made by `param`: BadValue when an object is built of values that do not
+    fit, TypeError when a class is defined with a type of field that has no check.
+
+    A class with checks of its own calls super().__post_init__() first.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        types = inspect.get_annotations(cls)
+        for name, value in vars(cls).items():
+            if isinstance(value, Field) and "param" in value.metadata:
+                value.metadata["param"].check_of(_annotation(types[name]))
+
+    def __post_init__(self) -> None:
+        for f in fields(cast(Any, self)):
+            if "param" in f.metadata:
+                f.metadata["param"].check(f.name, getattr(self, f.name), _annotation(f.type))
+
+
+def _annotation(kind: object) -> str:
+    """The annotation as it is written in the source: Sequence[float] | None, ..."""
+    text = kind if isinstance(kind, str) else inspect.formatannotation(kind)
+    return re.sub(r"[\w.]+\.", "", text)

@@ -1,0 +1,28 @@
+"""Parameters that several scenarios have."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from aoabench.params import param
+from aoabench.scenarios.layout import AnchorLayout
+
+
+def name_param() -> Any:
+    """The parameter `name`."""
+    return param(help="keys the random streams: scenarios of one name share their draws")
+
+
+def layout_param() -> Any:
+    """The parameter `anchors` that is a layout."""
+    return param(help="where the anchors are and how they are turned", kind=AnchorLayout)
+
+
+def size_param(default: tuple[float, float, float]) -> Any:
+    """The parameter `size_m`."""
+    return param(default, "length, width and height", unit="m", shape=(3,), above=0)
+
+
+def dt_param(default: float) -> Any:
+    """The parameter `dt`."""
+    return param(default, "time from step to step", unit="s", least=1e-6, most=1e6)
