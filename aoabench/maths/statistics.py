@@ -39,10 +39,14 @@ class Estimate:
 
     __rmul__ = __mul__
 
+    def __add__(self, other: Estimate | float) -> Estimate:
+        """Sum with an independent estimate, or with a number that is known exactly."""
+        b = other if isinstance(other, Estimate) else Estimate(other, 0.0)
+        return Estimate(self.value + b.value, math.hypot(self.se, b.se))
+
     def __sub__(self, other: Estimate | float) -> Estimate:
         """Difference from an independent estimate, or from a number that is known exactly."""
-        b = other if isinstance(other, Estimate) else Estimate(other, 0.0)
-        return Estimate(self.value - b.value, math.hypot(self.se, b.se))
+        return self + -1 * other
 
     def root(self) -> Estimate:
         """Square root, its standard error by the delta method: NaN at 0; both NaN below 0."""

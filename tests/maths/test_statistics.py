@@ -85,7 +85,9 @@ def test_estimates_are_scaled_subtracted_and_rooted():
     assert -2 * a == a * -2 == Estimate(-8.0, 0.6)
     assert a.percent() == Estimate(400.0, 30.0)
     assert a - b == Estimate(3.0, pytest.approx(0.5)), "independent errors add up in quadrature"
+    assert a + b == Estimate(5.0, pytest.approx(0.5))
     assert a - 1 == Estimate(3.0, 0.3), "a number has no error"
+    assert a + 1 == Estimate(5.0, 0.3)
     assert a.root() == Estimate(2.0, pytest.approx(0.3 / 4))
     assert (Estimate(0.0, 0.1).root().value, math.isnan(Estimate(0.0, 0.1).root().se)) == (0, True)
     for below in (-1.0, math.nan):

@@ -10,23 +10,3 @@ from .comparisons import boxes, errata, ranking, rejection
 from .fit import misfit
 from .geometry import fig2, fig3a, fig3b, fig3c, rule
 from .timing import speed
-
-__all__ = [
-    "METHODS",
-    "SCORED",
-    "boxes",
-    "errata",
-    "fig2",
-    "fig3a",
-    "fig3b",
-    "fig3c",
-    "fig5",
-    "fig6",
-    "fig7",
-    "fig8",
-    "misfit",
-    "ranking",
-    "rejection",
-    "rule",
-    "speed",
-]
