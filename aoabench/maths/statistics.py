@@ -57,6 +57,10 @@ class Estimate:
         """A share in percent."""
         return self * 100
 
+    def columns(self, name: str, se: str = "") -> dict[str, float]:
+        """Two columns of a table: NAME for the value, `se` (default NAME_se) for the error."""
+        return {name: self.value, se or f"{name}_se": self.se}
+
 
 def mean(values: ArrayLike) -> Estimate:
     """Mean over replications (N,)."""

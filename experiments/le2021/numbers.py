@@ -59,17 +59,6 @@ def rms(square: np.ndarray) -> Estimate:
     return statistics.pooled_rmse(np.sqrt(square))
 
 
-def columns(**estimates: Estimate) -> dict[str, float]:
-    """Two columns for each estimate: its name for the value, and the name without its unit with _se
-    for the standard error.
-    """
-    found = {}
-    for name, estimate in estimates.items():
-        stem = name.removesuffix("_m").removesuffix("_percent")
-        found |= {name: estimate.value, f"{stem}_se": estimate.se}
-    return found
-
-
 def standing(above: Estimate, z: float = 3.0) -> str:
     """The proposed one's standing by a paired difference (another one's minus its own)."""
     return (
@@ -94,13 +83,10 @@ def accuracy(cell: Any, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
         above = (statistics.ratio(square, mean_square(proposed.error_3d_m)).root() - 1).percent()
         row = {"sigma_deg": deviation_deg(cell), "estimator": name}
         row |= {"positions": points, "draws": draws}
-        row |= columns(
-            rmse_m=rms(square),
-            bound_m=rms(crb),
-            ratio=statistics.ratio(square, crb).root(),
-            ratio_xy=statistics.ratio(mean_square(f.error_xy_m), crb_xy).root(),
-            above_percent=above,
-        )
+        row |= rms(square).columns("rmse_m", "rmse_se") | rms(crb).columns("bound_m", "bound_se")
+        row |= statistics.ratio(square, crb).root().columns("ratio")
+        row |= statistics.ratio(mean_square(f.error_xy_m), crb_xy).root().columns("ratio_xy")
+        row |= above.columns("above_percent", "above_se")
         row |= {"rmse_of_proposed_is": standing(above), **updates(name, f, proposed)}
         for word, outcome in CLASSES.items():
             row[f"share_{word}"] = float((f.outcome == outcome).mean())
@@ -115,12 +101,8 @@ def updates(name: str, f: Fixes, proposed: Fixes) -> dict[str, Any]:
     else:
         mine, theirs = (np.nanmean(e.iterations.astype(float), axis=0) for e in (f, proposed))
         count, more = statistics.mean(mine), statistics.mean(mine - theirs)
-    return {
-        **columns(iterations=count),
-        "more_iterations": more.value,
-        "more_se": more.se,
-        "iterations_of_proposed_are": standing(more),
-    }
+    row = count.columns("iterations") | more.columns("more_iterations", "more_se")
+    return row | {"iterations_of_proposed_are": standing(more)}
 
 
 # --- Figure 5 -------------------------------------------------------------------------------------
@@ -210,15 +192,14 @@ def classes(name: str, sigma_deg: float, some: list[Fixes]) -> list[dict[str, An
         member = outcome == value
         n = member.sum(axis=0)
         row = {"estimator": name, "sigma_deg": sigma_deg, "class": word, "fixes": int(n.sum())}
-        row |= columns(share=statistics.ratio(n, np.full(len(n), len(member))))
+        row |= statistics.ratio(n, np.full(len(n), len(member))).columns("share")
         if n.sum():
             mine, theirs = sums(member, square), sums(converged, square)
-            row |= columns(
-                rmse_m=statistics.ratio(mine, n).root(),
-                median_m=median(error, member),
-                iterations=statistics.ratio(sums(member, iterations), n),
-                over_converged=over_converged(mine, n, theirs, converged.sum(axis=0)),
-            )
+            over = over_converged(mine, n, theirs, converged.sum(axis=0))
+            row |= statistics.ratio(mine, n).root().columns("rmse_m", "rmse_se")
+            row |= median(error, member).columns("median_m", "median_se")
+            row |= statistics.ratio(sums(member, iterations), n).columns("iterations")
+            row |= over.columns("over_converged")
             if (n > 0).sum() < FEW:
                 row |= {key: np.nan for key in row if key.endswith("_se")}
         rows.append(row)
@@ -265,7 +246,7 @@ def errata(runs: Runs) -> pd.DataFrame:
     for row in rows:
         key = row["sigma_deg"], row["estimator"]
         change = statistics.ratio(squares[*key, row["variant"]], squares[*key, "meant"]).root() - 1
-        row |= columns(above_meant_percent=change.percent())
+        row |= change.percent().columns("above_meant_percent", "above_meant_se")
     return pd.DataFrame(rows)
 
 

@@ -88,6 +88,8 @@ def test_estimates_are_scaled_subtracted_and_rooted():
     assert a + b == Estimate(5.0, pytest.approx(0.5))
     assert a - 1 == Estimate(3.0, 0.3), "a number has no error"
     assert a + 1 == Estimate(5.0, 0.3)
+    assert a.columns("x") == {"x": 4.0, "x_se": 0.3}
+    assert a.columns("x_m", "x_se") == {"x_m": 4.0, "x_se": 0.3}
     assert a.root() == Estimate(2.0, pytest.approx(0.3 / 4))
     assert (Estimate(0.0, 0.1).root().value, math.isnan(Estimate(0.0, 0.1).root().se)) == (0, True)
     for below in (-1.0, math.nan):

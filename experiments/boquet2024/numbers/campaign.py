@@ -119,10 +119,9 @@ def fig8(runs: Runs) -> pd.DataFrame:
         )  # the paper's panel is one of both
         for i, (x, y) in enumerate(points):
             each = m[:, i][np.isfinite(m[:, i])]
-            mean = statistics.mean(each)
+            mean = statistics.mean(each).columns("median_m", "median_se")
             low, high = np.quantile(each, [0.05, 0.95]) if len(each) else (np.nan, np.nan)
-            row = {"method": name, "x_m": x, "y_m": y}
-            row |= {"median_m": mean.value, "median_se": mean.se, "low_m": low, "high_m": high}
+            row = {"method": name, "x_m": x, "y_m": y, **mean, "low_m": low, "high_m": high}
             row |= {"printed_m": printed[name][i] if name in printed else np.nan}
             row |= {"unnamed_m": printed["unnamed"][i] if unnamed else np.nan}
             rows.append(row)

@@ -39,10 +39,10 @@ def printed_grids() -> dict[str, np.ndarray]:
 
 
 def columns(**estimates: Estimate) -> dict[str, float]:
-    """Two columns for each estimate: its name for the value, NAME_se for the standard error."""
+    """Columns NAME and NAME_se of each estimate."""
     found = {}
     for name, estimate in estimates.items():
-        found |= {name: estimate.value, f"{name}_se": estimate.se}
+        found |= estimate.columns(name)
     return found
 
 

@@ -98,15 +98,9 @@ def rejection(runs: Runs) -> pd.DataFrame:
 
 def _covered(method: str, e: np.ndarray, r_sigma: float = np.nan) -> dict[str, Any]:
     """A row of `rejection` from errors (R, T), NaN where the method rejects."""
-    rmse = statistics.jackknife(e, rms)
     shares = columns(coverage=statistics.mean(np.isfinite(e).mean(axis=1)), within_1m=within(e))
-    return {
-        "method": method,
-        "r_sigma": r_sigma,
-        **shares,
-        "rmse_m": rmse.value,
-        "rmse_se": rmse.se,
-    }
+    rmse = statistics.jackknife(e, rms).columns("rmse_m", "rmse_se")
+    return {"method": method, "r_sigma": r_sigma, **shares, **rmse}
 
 
 def boxes(runs: Runs) -> pd.DataFrame:

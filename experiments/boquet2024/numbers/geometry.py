@@ -94,21 +94,16 @@ def fig3a(scale: str) -> pd.DataFrame:
     for clip in (False, True):
         xy = single_positions(node, pair, normal_errors(n, 2), clip)
         for name, found in (("B", xy[:, 1]), ("mean of A and B", xy.mean(axis=1))):
-            e = np.hypot(*(found - node[:2]).T)
+            q95 = statistics.quantile(np.hypot(*(found - node[:2]).T), 0.95)
+            q95 = q95.columns("q95_m", "q95_se")
             rows.append(
-                {"kind": "clipped" if clip else "unclipped", "who": name, "samples": n, **q95(e)}
+                {"kind": "clipped" if clip else "unclipped", "who": name, "samples": n, **q95}
             )
             if not clip:
                 rows += [
                     {"kind": "sample", "who": name, "x_m": p, "y_m": q} for p, q in found[:400]
                 ]
     return pd.DataFrame(rows)
-
-
-def q95(e: np.ndarray) -> dict[str, float]:
-    """95th percentile of errors (N,) m with its standard error."""
-    q = statistics.quantile(e, 0.95)
-    return {"q95_m": q.value, "q95_se": q.se}
 
 
 def fig3b(scale: str) -> pd.DataFrame:
