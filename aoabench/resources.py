@@ -5,10 +5,7 @@ from __future__ import annotations
 import functools
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
+from typing import Any
 
 
 def shipped(folder: str) -> Path:
@@ -18,6 +15,18 @@ def shipped(folder: str) -> Path:
     package = Path(__file__).resolve().parent
     inside = package / folder
     return inside if inside.is_dir() else package.parent / folder
+
+
+@functools.cache
+def printed(study: str) -> dict[str, Any]:
+    """Numbers that a study's paper prints, by their ids in printed.yaml; None for what it does not
+    print.
+    """
+    import yaml
+
+    path = shipped("experiments") / study / "printed.yaml"
+    entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return {entry["id"]: entry.get("printed") for entry in entries}
 
 
 @functools.cache

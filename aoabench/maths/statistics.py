@@ -9,6 +9,7 @@ counted in the failure rate. Intervals that need more than value and standard er
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,34 @@ class Estimate:
         """Normal confidence interval."""
         half = normal_quantile(confidence) * self.se
         return self.value - half, self.value + half
+
+    def __mul__(self, factor: float) -> Estimate:
+        """The estimate in another unit."""
+        return Estimate(factor * self.value, abs(factor) * self.se)
+
+    __rmul__ = __mul__
+
+    def __add__(self, other: Estimate | float) -> Estimate:
+        """Sum with an independent estimate, or with a number that is known exactly."""
+        b = other if isinstance(other, Estimate) else Estimate(other, 0.0)
+        return Estimate(self.value + b.value, math.hypot(self.se, b.se))
+
+    def __sub__(self, other: Estimate | float) -> Estimate:
+        """Difference from an independent estimate, or from a number that is known exactly."""
+        return self + -1 * other
+
+    def root(self) -> Estimate:
+        """Square root, its standard error by the delta method: NaN at 0; both NaN below 0."""
+        root = math.sqrt(self.value) if self.value >= 0 else math.nan
+        return Estimate(root, self.se / (2 * root) if root > 0 else math.nan)
+
+    def percent(self) -> Estimate:
+        """A share in percent."""
+        return self * 100
+
+    def columns(self, name: str, se: str = "") -> dict[str, float]:
+        """Two columns of a table: NAME for the value, `se` (default NAME_se) for the error."""
+        return {name: self.value, se or f"{name}_se": self.se}
 
 
 def mean(values: ArrayLike) -> Estimate:
@@ -208,8 +237,63 @@ def ratio(numerator: ArrayLike, denominator: ArrayLike) -> Estimate:
     """sum of numerators / sum of denominators over independent units (N,), standard error by the
     delta method.
     """
+    value, influence = _ratio(numerator, denominator)
+    return Estimate(value, mean(influence).se)
+
+
+def ratio_difference(
+    numerator: ArrayLike, denominator: ArrayLike, other: ArrayLike, other_denominator: ArrayLike
+) -> Estimate:
+    """One ratio minus another of the same independent units (N,), standard error by the delta
+    method.
+
+    Each ratio is a sum of numerators over a sum of denominators; what both share in a unit cancels
+    in the error.
+    """
+    a, influence = _ratio(numerator, denominator)
+    b, other_influence = _ratio(other, other_denominator)
+    return Estimate(a - b, mean(influence - other_influence).se)
+
+
+def ratio_of_ratios(
+    numerator: ArrayLike, denominator: ArrayLike, other: ArrayLike, other_denominator: ArrayLike
+) -> Estimate:
+    """One ratio over another of the same independent units (N,), standard error by the delta
+    method.
+
+    Each ratio is a sum of numerators over a sum of denominators. NaN if the other one is not above
+    0.
+    """
+    a, influence = _ratio(numerator, denominator)
+    b, other_influence = _ratio(other, other_denominator)
+    if not b > 0:
+        return Estimate(math.nan, math.nan)
+    return Estimate(a / b, mean((influence - a / b * other_influence) / b).se)
+
+
+def _ratio(numerator: ArrayLike, denominator: ArrayLike) -> tuple[float, Array]:
+    """Ratio of two sums over units (N,) and each unit's influence (N,) on it; NaN if the
+    denominators do not add up to more than 0.
+    """
     x, n = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
     if not n.sum() > 0:
-        return Estimate(math.nan, math.nan)
+        return math.nan, np.full(len(x), math.nan)
     value = float(x.sum() / n.sum())
-    return Estimate(value, mean((x - value * n) / n.mean()).se)
+    return value, (x - value * n) / n.mean()
+
+
+def jackknife(x: ArrayLike, f: Callable[[Array], float], groups: int | None = None) -> Estimate:
+    """f of all independent units x (N, ...), its standard error from leaving out one at a time.
+
+    With `groups`, unit i belongs to group i modulo `groups`, and one group is left out at a time:
+    for an f that is not smooth (a median), or many units. The error is NaN for a single unit, and
+    where f is NaN without one of the groups.
+    """
+    units = np.asarray(x)
+    n = len(units) if groups is None else min(groups, len(units))
+    whole = float(f(units))
+    if n < 2:
+        return Estimate(whole, math.nan)
+    group = np.arange(len(units)) % n
+    left = np.array([f(units[group != g]) for g in range(n)], dtype=float)
+    return Estimate(whole, math.sqrt((n - 1) / n * float(((left - left.mean()) ** 2).sum())))

@@ -82,6 +82,15 @@ def bound_ratio(axis: Any, label: str | None = None) -> None:
     axis.axhline(1, label=label, **BOUND)
 
 
+def log_bars(value: Any, se: Any) -> list[Any]:
+    """Lengths (2, N) of bars of three standard errors; the lower ones end above 0, which a
+    logarithmic axis does not have.
+    """
+    import numpy as np
+
+    return [np.minimum(3 * se, 0.9 * abs(value)), 3 * se]
+
+
 def boxes(
     axis: Any, groups: list[Any], positions: list[float], colours: list[str], width: float = 0.6
 ) -> None:

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
+from math import floor, log10
 
 
 def printed_text(value: float | None, rounding: float) -> str:
     """A printed number with the digits that it was printed with."""
     if value is None:
         return "-"
-    from math import floor, log10
-
     return (
         f"{value:.{max(0, -floor(log10(2 * rounding) + 1e-9))}f}" if rounding > 0 else f"{value:g}"
     )
@@ -25,8 +20,6 @@ def number_text(value: float, se: float) -> str:
         return "-"
     if se != se or se <= 1e-12 * abs(value):  # none, or what rounding leaves of none
         return f"{value:.4g}"
-    from math import floor, log10
-
     if abs(value) >= 1e6:
         return f"{value:.3g} ± {se:.1g}"
     digits = max(0, 1 - floor(log10(abs(se))))

@@ -1,12 +1,13 @@
 """From a study's list of items to its tables, figures, verdicts and page.
 
-A study is a folder under `experiments/`: study.yaml (the items), numbers.py (item -> table),
-figures.py (table -> figure and values), printed.yaml, errata.yaml, README.md. Computing ends in
-Parquet; drawing starts from it.
+A study is a folder under `experiments/`: study.yaml (the items), `numbers` (item -> table) and
+`figures` (table -> figure and values), each a module or a package, printed.yaml, errata.yaml,
+README.md. Computing ends in Parquet; drawing starts from it.
 """
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -104,7 +105,7 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
     reduce = getattr(s.numbers, item.name)
     if item.experiment is None:
         return reduce("quick" if scale == "quick" else "paper"), {
-            "function": f"experiments/{s.name}/numbers.py:{item.name}",
+            "function": f"experiments/{s.name}/{_file_of(reduce, s.folder)}:{item.name}",
             "scale": scale,
         }
     out = results / "raw" / s.name  # one folder a study: what two items need is computed once
@@ -120,6 +121,11 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
     wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
     reps = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
     return reduce(frame[frame["replication"] < reps]), origin
+
+
+def _file_of(function: Callable[..., Any], folder: Path) -> str:
+    """The file that defines a function, relative to a folder that holds it."""
+    return Path(inspect.getfile(function)).relative_to(folder).as_posix()
 
 
 def draw(

@@ -8,14 +8,11 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
 from aoabench.resources import shipped
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -48,15 +45,15 @@ class Study:
 
     @property
     def numbers(self) -> ModuleType:
-        """numbers.py: a function per item that computes its table."""
-        return _module(self.folder / "numbers.py")
+        """The module or package `numbers`: a function per item that computes its table."""
+        return _module(self.folder, "numbers")
 
     @property
     def figures(self) -> ModuleType:
-        """figures.py: per item a function of its table that draws it, and one, NAME_values, that
-        reads its numbers.
+        """The module or package `figures`: per item a function of its table that draws it, and one,
+        ITEM_values, that reads its numbers.
         """
-        return _module(self.folder / "figures.py")
+        return _module(self.folder, "figures")
 
 
 def names() -> list[str]:
@@ -81,13 +78,16 @@ def load(name: str) -> Study:
 
 
 @cache
-def _module(file: Path) -> ModuleType:
-    name = f"aoabench_experiments_{file.parent.name}_{file.stem}"
-    spec = importlib.util.spec_from_file_location(name, file)
+def _module(folder: Path, name: str) -> ModuleType:
+    """NAME.py in a study's folder, or NAME/__init__.py, whose relative imports stay inside it."""
+    package = folder / name / "__init__.py"
+    file = package if package.exists() else folder / f"{name}.py"
+    full = f"aoabench_experiments_{folder.name}_{name}"
+    spec = importlib.util.spec_from_file_location(full, file)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+    sys.modules[full] = module
     spec.loader.exec_module(module)
     return module
 

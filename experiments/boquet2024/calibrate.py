@@ -6,7 +6,7 @@ fit has not seen.
 
 The fit sees `--seeds` campaigns of root seed 2024, always the same draws, so that the misfit is a
 function of the parameters alone, if not smooth enough for derivatives. It minimises the squared
-`misfit`s of numbers.py and the log ratios to the printed grids by Powell's method, from the
+misfits of `numbers/fit.py` and the log ratios to the printed grids by Powell's method, from the
 `--starts` best of `--search` random points and the shipped. The judgement uses `--fresh` campaigns
 of root seed 1, as the study does. `--write` puts the result into configs/noise/ble_multipath.yaml.
 """
@@ -29,9 +29,9 @@ from aoabench.engine.block import run_block
 from aoabench.estimators.discrepancy import Discrepancy
 from aoabench.noise.multipath import BleMultipath
 from aoabench.store.fixes import Fixes
-from aoabench.studies import study
+from experiments.boquet2024.numbers.common import error, medians, printed_grids
+from experiments.boquet2024.numbers.fit import SWEEP, day_statistics, misfits
 
-numbers = study.load("boquet2024").numbers
 FIT_SEED, FRESH_SEED = 2024, 1
 METHODS = ("single_anchor_2", "anchor_mean", "vmf_ml")
 # a log ratio of this much at every point of a grid weighs as much as one misfit of 1 times sqrt(42
@@ -86,9 +86,7 @@ def campaigns(
 ) -> tuple[Any, dict[str, Fixes]]:
     """A cell of the room with this noise, and the fixes of `count` campaigns."""
     cell = replace(_room(packets), noise=noise, seed=seed)
-    filters = {
-        f"df_boxes_{round(10 * r):02d}": Discrepancy(r_sigma=r, ties="first") for r in numbers.SWEEP
-    }
+    filters = {f"df_boxes_{round(10 * r):02d}": Discrepancy(r_sigma=r, ties="first") for r in SWEEP}
     found = run_block(cell.scenario, noise, {**cell.estimators, **filters}, seed, 0, count)
     names = [f.name for f in fields(Fixes)]
     return cell, {
@@ -99,19 +97,19 @@ def campaigns(
 def table(noise: BleMultipath, seed: int, count: int, packets: int) -> pd.DataFrame:
     """The misfits of `count` campaigns."""
     cell, fixes = campaigns(noise, seed, count, packets)
-    days = numbers.day_statistics(cell.scenario, noise, seed, 0, count)
-    return pd.DataFrame(list(numbers.misfits(fixes, days, len(cell.scenario.points_m))))
+    days = day_statistics(cell.scenario, noise, seed, 0, count)
+    return pd.DataFrame(list(misfits(fixes, days, len(cell.scenario.points_m))))
 
 
 def misfit(x: np.ndarray, count: int, packets: int) -> float:
     """What the fit makes small, of `count` campaigns: half the sum of the squares."""
     cell, fixes = campaigns(noise_of(x), FIT_SEED, count, packets)
-    days = numbers.day_statistics(cell.scenario, cell.noise, FIT_SEED, 0, count)
-    rows = numbers.misfits(fixes, days, len(cell.scenario.points_m))
+    days = day_statistics(cell.scenario, cell.noise, FIT_SEED, 0, count)
+    rows = misfits(fixes, days, len(cell.scenario.points_m))
     found = [row["misfit"] for row in rows if "misfit" in row]
-    for name, grid in numbers.printed_grids().items():
+    for name, grid in printed_grids().items():
         if name in fixes:
-            ours = np.nanmean(numbers.medians(numbers.error(fixes[name]), len(grid)), axis=0)
+            ours = np.nanmean(medians(error(fixes[name]), len(grid)), axis=0)
             found += list(np.log(ours / grid) / GRID_WEIGHT / np.sqrt(len(grid) / 8))
     return 0.5 * float(np.sum(np.nan_to_num(np.array(found), nan=10.0) ** 2))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench.maths.statistics import Estimate
-from aoabench.report.plots import BOUND_LABEL, GREY, PAGE, bound, bound_ratio, new
+from aoabench.report.plots import BOUND_LABEL, GREY, PAGE, bound, bound_ratio, log_bars, new
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,10 +29,8 @@ SIGMA = "deviation of the angles [deg]"
 
 
 def _curve(axis: Any, rows: pd.DataFrame, x: str, y: str, se: str, **style: Any) -> None:
-    down = np.minimum(
-        3 * rows[se], 0.9 * rows[y].abs()
-    )  # a bar to below 0 has no end on a logarithmic axis
-    axis.errorbar(rows[x], rows[y], yerr=[down, 3 * rows[se]], capsize=2, elinewidth=0.8, **style)
+    bars = log_bars(rows[y], rows[se])
+    axis.errorbar(rows[x], rows[y], yerr=bars, capsize=2, elinewidth=0.8, **style)
 
 
 def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
@@ -188,7 +186,7 @@ def table1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
         found[f"{key}/iterations"] = Estimate(r["iterations"], r["iterations_se"])
         if r["class"] != "convergence":
             found[f"{key}/rmse"] = Estimate(r["over_converged"], r["over_converged_se"])
-        found[f"{key}/share"] = Estimate(100 * r["share"], 100 * r["share_se"])
+        found[f"{key}/share"] = Estimate(r["share"], r["share_se"]).percent()
     return found
 
 

@@ -23,7 +23,7 @@ from aoabench.types import Outcome
 
 Runs = Iterable[tuple[Any, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
 PROPOSED = "ml_kcorr"
-FEW = 10  # positions; with fewer there is no telling a standard error
+FEW = 10  # positions: fewer give no standard error
 CLASSES = {
     "convergence": Outcome.OK,
     "divergence": Outcome.DIVERGED,
@@ -44,15 +44,19 @@ def bound(cell: Any) -> tuple[np.ndarray, np.ndarray]:
     return np.trace(C, axis1=-2, axis2=-1), C[:, 0, 0] + C[:, 1, 1]
 
 
+def deviation_deg(cell: Any) -> float:
+    """Deviation of a cell's angles in degrees, without the rounding of the way through radians."""
+    return round(float(np.rad2deg(cell.noise.sigma)), 9)
+
+
+def mean_square(error: np.ndarray) -> np.ndarray:
+    """Mean square (P,) over the draws of errors (R, P) m at each position."""
+    return np.nanmean(error.astype(float) ** 2, axis=0)
+
+
 def rms(square: np.ndarray) -> Estimate:
     """Root of the mean of mean squares (P,) of independent positions."""
     return statistics.pooled_rmse(np.sqrt(square))
-
-
-def root_of_ratio(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
-    """sqrt(sum of numerators / sum of denominators) over positions (P,): the ratio of two RMSEs."""
-    q = statistics.ratio(numerator, denominator)
-    return Estimate(float(np.sqrt(q.value)), q.se / (2 * float(np.sqrt(q.value))))
 
 
 def standing(above: Estimate, z: float = 3.0) -> str:
@@ -71,53 +75,34 @@ def accuracy(cell: Any, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
     the proposed one.
     """
     crb, crb_xy = bound(cell)
-    square = {
-        name: np.nanmean(f.error_3d_m.astype(float) ** 2, axis=0) for name, f in fixes.items()
-    }
-    updates = {
-        name: np.nanmean(f.iterations.astype(float), axis=0)
-        for name, f in fixes.items()
-        if name != "ls"
-    }
+    proposed = fixes[PROPOSED]
     rows = []
     for name, f in fixes.items():
         draws, points = f.outcome.shape
-        rmse, ratio = rms(square[name]), root_of_ratio(square[name], crb)
-        above = root_of_ratio(square[name], square[PROPOSED])
-        ratio_xy = root_of_ratio(np.nanmean(f.error_xy_m.astype(float) ** 2, axis=0), crb_xy)
-        above = Estimate(100 * (above.value - 1), 100 * above.se)
-        nothing = np.full(points, np.nan)
-        count = statistics.mean(updates.get(name, nothing))
-        more = statistics.mean(updates.get(name, nothing) - updates[PROPOSED])
-        rows.append(
-            {
-                "sigma_deg": round(float(np.rad2deg(cell.noise.sigma)), 9),
-                "estimator": name,
-                "positions": points,
-                "draws": draws,
-                "rmse_m": rmse.value,
-                "rmse_se": rmse.se,
-                "bound_m": rms(crb).value,
-                "bound_se": rms(crb).se,
-                "ratio": ratio.value,
-                "ratio_se": ratio.se,
-                "ratio_xy": ratio_xy.value,
-                "ratio_xy_se": ratio_xy.se,
-                "above_percent": above.value,
-                "above_se": above.se,
-                "rmse_of_proposed_is": standing(above),
-                "iterations": count.value,
-                "iterations_se": count.se,
-                "more_iterations": more.value,
-                "more_se": more.se,
-                "iterations_of_proposed_are": standing(more),
-            }
-            | {
-                f"share_{word}": float((f.outcome == outcome).mean())
-                for word, outcome in CLASSES.items()
-            }
-        )
+        square = mean_square(f.error_3d_m)
+        above = (statistics.ratio(square, mean_square(proposed.error_3d_m)).root() - 1).percent()
+        row = {"sigma_deg": deviation_deg(cell), "estimator": name}
+        row |= {"positions": points, "draws": draws}
+        row |= rms(square).columns("rmse_m", "rmse_se") | rms(crb).columns("bound_m", "bound_se")
+        row |= statistics.ratio(square, crb).root().columns("ratio")
+        row |= statistics.ratio(mean_square(f.error_xy_m), crb_xy).root().columns("ratio_xy")
+        row |= above.columns("above_percent", "above_se")
+        row |= {"rmse_of_proposed_is": standing(above), **updates(name, f, proposed)}
+        for word, outcome in CLASSES.items():
+            row[f"share_{word}"] = float((f.outcome == outcome).mean())
+        rows.append(row)
     return rows
+
+
+def updates(name: str, f: Fixes, proposed: Fixes) -> dict[str, Any]:
+    """Columns on an estimator's iterations, and on how many they exceed the proposed one's by."""
+    if name == "ls":  # solves one linear system
+        count = more = Estimate(float("nan"), float("nan"))
+    else:
+        mine, theirs = (np.nanmean(e.iterations.astype(float), axis=0) for e in (f, proposed))
+        count, more = statistics.mean(mine), statistics.mean(mine - theirs)
+    row = count.columns("iterations") | more.columns("more_iterations", "more_se")
+    return row | {"iterations_of_proposed_are": standing(more)}
 
 
 # --- Figure 5 -------------------------------------------------------------------------------------
@@ -168,8 +153,7 @@ def bias(cell: Any, name: str, draws: int) -> Estimate:
         error.append((found.position - truth[..., :3])[0])
     e = np.array(error)  # (R, P, 3)
     square = (e.mean(axis=0) ** 2 - e.var(axis=0, ddof=1) / len(e)).sum(-1)
-    q = statistics.ratio(square, (e**2).sum(-1).mean(axis=0))
-    return Estimate(100 * q.value, 100 * q.se)
+    return statistics.ratio(square, (e**2).sum(-1).mean(axis=0)).percent()
 
 
 # --- Table I --------------------------------------------------------------------------------------
@@ -181,11 +165,7 @@ def table1(runs: Runs) -> pd.DataFrame:
     """
     kept: dict[tuple[str, float], Fixes] = {}
     for cell, fixes in runs:
-        kept |= {
-            (name, round(float(np.rad2deg(cell.noise.sigma)), 9)): f
-            for name, f in fixes.items()
-            if name != "ls"
-        }
+        kept |= {(name, deviation_deg(cell)): f for name, f in fixes.items() if name != "ls"}
     rows = []
     for name in dict.fromkeys(name for name, _ in kept):
         each = {sigma: [f] for (other, sigma), f in kept.items() if other == name}
@@ -202,23 +182,24 @@ def classes(name: str, sigma_deg: float, some: list[Fixes]) -> list[dict[str, An
         np.concatenate([getattr(f, field) for f in some])
         for field in ("error_3d_m", "iterations", "outcome")
     )
-    rows, converged = [], outcome == Outcome.OK
+
+    def sums(member: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return np.where(member, values, 0.0).sum(axis=0)
+
+    square, converged = error.astype(float) ** 2, outcome == Outcome.OK
+    rows = []
     for word, value in CLASSES.items():
         member = outcome == value
-        n, square = member.sum(axis=0), np.where(member, error.astype(float) ** 2, 0.0).sum(axis=0)
-        share = statistics.ratio(n, np.full(len(n), len(member)))
+        n = member.sum(axis=0)
         row = {"estimator": name, "sigma_deg": sigma_deg, "class": word, "fixes": int(n.sum())}
-        row |= {"share": share.value, "share_se": share.se}
+        row |= statistics.ratio(n, np.full(len(n), len(member))).columns("share")
         if n.sum():
-            ms = statistics.ratio(square, n)
-            count = statistics.ratio(np.where(member, iterations, 0.0).sum(axis=0), n)
-            middle = median(error, member)
-            other = np.where(converged, error.astype(float) ** 2, 0.0).sum(axis=0)
-            over = over_converged(square, n, other, converged.sum(axis=0))
-            row |= {"rmse_m": np.sqrt(ms.value), "rmse_se": ms.se / (2 * np.sqrt(ms.value))}
-            row |= {"median_m": middle.value, "median_se": middle.se}
-            row |= {"iterations": count.value, "iterations_se": count.se}
-            row |= {"over_converged": over.value, "over_converged_se": over.se}
+            mine, theirs = sums(member, square), sums(converged, square)
+            over = over_converged(mine, n, theirs, converged.sum(axis=0))
+            row |= statistics.ratio(mine, n).root().columns("rmse_m", "rmse_se")
+            row |= median(error, member).columns("median_m", "median_se")
+            row |= statistics.ratio(sums(member, iterations), n).columns("iterations")
+            row |= over.columns("over_converged")
             if (n > 0).sum() < FEW:
                 row |= {key: np.nan for key in row if key.endswith("_se")}
         rows.append(row)
@@ -229,26 +210,19 @@ def over_converged(square: np.ndarray, n: np.ndarray, other: np.ndarray, m: np.n
     """RMSE of a class over the converged fixes', from both sums (P,) of squares and of fixes at
     each position.
     """
-    ratio = np.sqrt((square.sum() / n.sum()) / (other.sum() / m.sum()))
-    influence = [(s - k * s.sum() / k.sum()) / (2 * s.sum()) for s, k in ((square, n), (other, m))]
-    return Estimate(
-        float(ratio), float(ratio * np.sqrt(len(n)) * (influence[0] - influence[1]).std(ddof=1))
-    )
+    return statistics.ratio_of_ratios(square, n, other, m).root()
 
 
 def median(error: np.ndarray, member: np.ndarray, groups: int = 20) -> Estimate:
-    """Median error of some fixes; its standard error by leaving out each of `groups` groups of
-    positions in turn.
+    """Median error of some fixes (R, P); its standard error by leaving out each of `groups` groups
+    of positions in turn.
     """
-    whole = float(np.median(error[member]))
-    group = np.arange(error.shape[1]) % groups
-    left = [error[:, group != g][member[:, group != g]] for g in range(groups)]
-    each = np.array([np.median(e) for e in left if len(e)])
-    if len(each) < groups:
-        return Estimate(whole, float("nan"))
-    return Estimate(
-        whole, float(np.sqrt((groups - 1) / groups * ((each - each.mean()) ** 2).sum()))
-    )
+
+    def middle(e: np.ndarray) -> float:
+        given = e[np.isfinite(e)]
+        return float(np.median(given)) if len(given) else float("nan")
+
+    return statistics.jackknife(np.where(member, error, np.nan).T, middle, groups)
 
 
 # --- errata, zones, pole --------------------------------------------------------------------------
@@ -259,21 +233,20 @@ def errata(runs: Runs) -> pd.DataFrame:
     rows, squares = [], {}
     for cell, fixes in runs:
         options = cell.config["estimator"][PROPOSED]
-        variant = options["as_printed"] or (
-            "invariant" if options["start"] == "invariant" else "meant"
-        )
-        if options["as_printed"] and options["start"] == "invariant":
+        invariant = options["start"] == "invariant"
+        if options["as_printed"] and invariant:
             continue
+        variant = options["as_printed"] or ("invariant" if invariant else "meant")
         for row in accuracy(cell, fixes):
-            key = row["sigma_deg"], row["estimator"], variant
-            if row["estimator"] == "ls" and variant not in ("meant", "invariant"):
+            name = row["estimator"]
+            if name == "ls" and variant not in ("meant", "invariant"):
                 continue
-            squares[key] = np.nanmean(fixes[row["estimator"]].error_3d_m.astype(float) ** 2, axis=0)
+            squares[row["sigma_deg"], name, variant] = mean_square(fixes[name].error_3d_m)
             rows.append({"variant": variant, **row})
     for row in rows:
         key = row["sigma_deg"], row["estimator"]
-        change = root_of_ratio(squares[*key, row["variant"]], squares[*key, "meant"])
-        row |= {"above_meant_percent": 100 * (change.value - 1), "above_meant_se": 100 * change.se}
+        change = statistics.ratio(squares[*key, row["variant"]], squares[*key, "meant"]).root() - 1
+        row |= change.percent().columns("above_meant_percent", "above_meant_se")
     return pd.DataFrame(rows)
 
 

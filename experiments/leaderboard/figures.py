@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 
-from aoabench.report.plots import PAGE, new
+from aoabench.report.plots import PAGE, log_bars, new
 from aoabench.report.text import number_text
 
 if TYPE_CHECKING:
@@ -24,18 +23,9 @@ def board(frame: pd.DataFrame) -> Figure:
     figure, axes = new(PAGE, height, cols=len(settings), sharey=True, sharex=True, squeeze=False)
     for axis, setting in zip(axes[0], settings):
         rows = frame[frame["setting"] == setting].set_index("estimator").loc[names]
-        down = np.minimum(
-            3 * rows["rmse_se"], 0.9 * rows["rmse_m"]
-        )  # on a logarithmic axis there is no 0
-        axis.errorbar(
-            rows["rmse_m"],
-            range(len(names)),
-            xerr=[down, 3 * rows["rmse_se"]],
-            fmt="o",
-            ms=3,
-            capsize=2,
-            elinewidth=0.8,
-        )
+        bars = log_bars(rows["rmse_m"], rows["rmse_se"])
+        look = {"fmt": "o", "ms": 3, "capsize": 2, "elinewidth": 0.8}
+        axis.errorbar(rows["rmse_m"], range(len(names)), xerr=bars, **look)
         axis.axvline(rows["rmse_m"].min(), color="black", lw=0.8, ls=":")
         axis.set(xscale="log", title=setting, xlabel=f"{frame['metric'].iloc[0]} RMSE [m]")
     axes[0, 0].set_yticks(range(len(names)), names)

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from aoabench.maths import statistics
-from aoabench.maths.intervals import normal_quantile
 from aoabench.maths.statistics import Estimate
 from aoabench.store.fixes import Fixes
+from aoabench.types import Outcome
 
 
 def square_track(frame: pd.DataFrame) -> pd.DataFrame:
@@ -45,7 +45,7 @@ def bs_grid(runs: Iterable[tuple[Any, dict[str, Fixes]]]) -> pd.DataFrame:
         }
         rmse = {name: statistics.pooled_rmse(np.sqrt(s)) for name, s in square.items()}
         best = min(rmse, key=lambda name: rmse[name].value)
-        ok = {name: float((f.outcome == 0).mean()) for name, f in fixes.items()}
+        ok = {name: float((f.outcome == Outcome.OK).mean()) for name, f in fixes.items()}
         above = {name: _above(s, square[best]) for name, s in square.items()}
         rows += _ranked(setting, "3-D", "positions", len(square[best]), rmse, above, ok)
     return pd.DataFrame(rows)
@@ -55,11 +55,8 @@ def _above(square: np.ndarray, other: np.ndarray) -> tuple[Estimate, tuple[float
     """RMSE above another one's in percent, from mean squares (P,) per position, with its 95 %
     interval.
     """
-    q = statistics.ratio(square, other)
-    root = float(np.sqrt(q.value))
-    above = Estimate(100 * (root - 1), 100 * q.se / (2 * root))
-    half = normal_quantile(0.95) * above.se
-    return above, (above.value - half, above.value + half)
+    above = (statistics.ratio(square, other).root() - 1).percent()
+    return above, above.interval()
 
 
 def _over_replications(frame: pd.DataFrame, settings: pd.Series, axis: str) -> pd.DataFrame:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench.maths.statistics import Estimate
-from aoabench.report.plots import GREY, PAGE, new
+from aoabench.report.plots import GREY, PAGE, log_bars, new
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,52 +108,41 @@ def fig4(frame: pd.DataFrame) -> Figure:
     """RMSE in space and height and divergence rate against the uncertainty [Lu 2019, Fig. 4]."""
     figure, axes = new(PAGE, 5.6, rows=3, cols=2, sharex=True, sharey="row")
     for column, (kind, title) in zip(axes.T, KINDS.items()):
-        for name, label in NAMES.items():
-            rows = frame[(frame["an_error"] == kind) & (frame["estimator"] == name)].dropna(
-                subset=["an_sigma_m"]
-            )
-            rows = rows.sort_values("an_sigma_m")
+        for name in NAMES:
+            rows = frame[(frame["an_error"] == kind) & (frame["estimator"] == name)]
+            rows = rows.dropna(subset=["an_sigma_m"]).sort_values("an_sigma_m")
             for axis, part in zip(column, ("3d", "z")):
-                value, se = rows[f"rmse_{part}"], rows[f"rmse_{part}_se"].fillna(0)
-                bar = [np.minimum(3 * se, 0.9 * value), 3 * se]
-                axis.errorbar(
-                    rows["an_sigma_m"],
-                    value,
-                    yerr=bar,
-                    capsize=2,
-                    elinewidth=0.8,
-                    label=label,
-                    **STYLES[name],
-                )
-                if (rows["diverged"] > 0).any():
-                    faint = {**STYLES[name], "alpha": 0.35, "lw": 1.0}
-                    axis.plot(
-                        rows["an_sigma_m"],
-                        rows[f"kept_{part}"],
-                        label=f"{label}, without diverged",
-                        **faint,
-                    )
-            share, se = 100 * rows["diverged"], 300 * rows["diverged_se"]
-            column[2].errorbar(
-                rows["an_sigma_m"],
-                share,
-                yerr=[np.minimum(se, share), se],
-                capsize=2,
-                elinewidth=0.8,
-                **STYLES[name],
-            )
+                _rmse(axis, rows, name, part)
+            _diverged(column[2], rows, name)
         column[0].set(title=title, yscale="log")
         column[1].set(yscale="log")
         column[2].set(xlabel=SIGMA)
-    for axis, label in zip(
-        axes[:, 0], ("3-D RMSE [m]", "vertical RMSE [m]", "diverged trials [%]")
-    ):
+    labels = ("3-D RMSE [m]", "vertical RMSE [m]", "diverged trials [%]")
+    for axis, label in zip(axes[:, 0], labels):
         axis.set_ylabel(label)
     handles: dict[str, Any] = {}
     for axis in axes[0]:
         handles |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels())}
     figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=4)
     return figure
+
+
+def _rmse(axis: Any, rows: pd.DataFrame, name: str, part: str) -> None:
+    """Draw a method's RMSE in space (3d) or height (z), faintly that without diverged trials."""
+    value, label = rows[f"rmse_{part}"], NAMES[name]
+    bars = log_bars(value, rows[f"rmse_{part}_se"].fillna(0))
+    look = {"capsize": 2, "elinewidth": 0.8, "label": label, **STYLES[name]}
+    axis.errorbar(rows["an_sigma_m"], value, yerr=bars, **look)
+    if (rows["diverged"] > 0).any():
+        faint = {"label": f"{label}, without diverged", **STYLES[name], "alpha": 0.35, "lw": 1.0}
+        axis.plot(rows["an_sigma_m"], rows[f"kept_{part}"], **faint)
+
+
+def _diverged(axis: Any, rows: pd.DataFrame, name: str) -> None:
+    """Draw the share of a method's trials that diverge, in percent."""
+    share, bar = 100 * rows["diverged"], 300 * rows["diverged_se"]
+    look = {"capsize": 2, "elinewidth": 0.8, **STYLES[name]}
+    axis.errorbar(rows["an_sigma_m"], share, yerr=[np.minimum(bar, share), bar], **look)
 
 
 def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
@@ -164,7 +153,7 @@ def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
         for part in ("3d", "z"):
             found[f"{key}/rmse_{part}"] = Estimate(r[f"rmse_{part}"], r[f"rmse_{part}_se"])
             found[f"{key}/kept_{part}"] = Estimate(r[f"kept_{part}"], r[f"kept_{part}_se"])
-        found[f"{key}/diverged"] = Estimate(100 * r["diverged"], 100 * r["diverged_se"])
+        found[f"{key}/diverged"] = Estimate(r["diverged"], r["diverged_se"]).percent()
         if r["estimator"] != "wcg":
             found[f"{key}/above_wcg"] = Estimate(r["above_wcg"], r["above_wcg_se"])
     for r in frame[frame["an_sigma_m"].isna()].to_dict("records"):
@@ -209,11 +198,8 @@ def errata(frame: pd.DataFrame) -> Figure:
             present = [v for v in rows_of if v in rows.index]
             y = [-rows_of.index(v) + 0.2 * (1 - k) for v in present]
             value, se = rows.loc[present, "median_m"], rows.loc[present, "median_se"].fillna(0)
-            bar = [np.minimum(3 * se, 0.9 * value), 3 * se]
-            style = {k_: v for k_, v in STYLES[name].items() if k_ != "ls"}
-            axis.errorbar(
-                value, y, xerr=bar, ls="", ms=4, capsize=2, elinewidth=0.8, label=label, **style
-            )
+            look = {**STYLES[name], "ls": "", "ms": 4, "capsize": 2, "elinewidth": 0.8}
+            axis.errorbar(value, y, xerr=log_bars(value, se), label=label, **look)
         axis.set(
             xscale="log", xlabel="median 3-D RMSE [m]", title=f"access nodes known to {sigma:g} m"
         )
@@ -228,7 +214,7 @@ def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     for r in frame.to_dict("records"):
         key = f"errata/{r['variant']}/{r['an_sigma_m']:g}/{r['estimator']}"
         found[f"{key}/median"] = Estimate(r["median_m"], r["median_se"])
-        found[f"{key}/diverged"] = Estimate(100 * r["diverged"], 100 * r["diverged_se"])
+        found[f"{key}/diverged"] = Estimate(r["diverged"], r["diverged_se"]).percent()
     return found
 
 

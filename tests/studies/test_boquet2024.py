@@ -22,6 +22,7 @@ from aoabench.types import Anchors, Batch, Outcome
 
 STUDY = study.load("boquet2024")
 numbers, figures = STUDY.numbers, STUDY.figures
+common = numbers.common
 NAN = np.nan
 
 
@@ -242,7 +243,7 @@ def test_as_many_measurements_arrive_as_printed():
 
 
 def test_the_grids_are_whole_and_lie_as_printed():
-    grids = numbers.printed_grids()
+    grids = common.printed_grids()
     points = compose_cells(["scenario=ble_room", "estimator=[anchor_mean]"])[0].scenario.points_m
     for name, grid in grids.items():
         assert grid.shape == (42,), name
@@ -263,19 +264,13 @@ def test_both_readings_of_the_discard_ratio():
     """B9."""
     f = made(np.ones((2, 4)), rejected=[(0, 0), (1, 1)], used=2.0)
     whole = made(np.ones((2, 4)), used=3.0)
-    assert numbers.lost(f).value == pytest.approx(2 / 8)
-    assert numbers.discarded(f, whole).value == pytest.approx(1 - 12 / 24)
+    assert common.lost(f).value == pytest.approx(2 / 8)
+    assert common.discarded(f, whole).value == pytest.approx(1 - 12 / 24)
 
 
 def test_shares_count_given_fixes_alone():
     f = made([[0.5, 2.0, 0.5, 3.0], [0.5, 0.5, 0.5, 3.0]], rejected=[(0, 3)])
-    assert numbers.within(numbers.error(f)).value == pytest.approx(5 / 7)
-
-
-def test_jackknife_of_a_mean_is_its_standard_error(rng):
-    e = rng.normal(size=(30, 1))
-    q = numbers.jackknife(e, lambda x: float(x.mean()))
-    assert q.se == pytest.approx(e.std(ddof=1) / np.sqrt(30))
+    assert common.within(common.error(f)).value == pytest.approx(5 / 7)
 
 
 def test_differences_are_paired(rng):
@@ -285,18 +280,24 @@ def test_differences_are_paired(rng):
     bad = rng.random((50, 1)) < 0.5
     a = np.where(bad & (rng.random((50, 100)) < 0.9), 2.0, 0.5)
     b = np.where(rng.random(a.shape) < 0.02, 2.0, a)
-    d = numbers.difference(a, b)
+    d = numbers.comparisons.difference(a, b)
     assert d.value == pytest.approx((a <= 1).mean() - (b <= 1).mean())
-    assert d.se < 0.2 * numbers.within(a).se
-    assert numbers.difference(a, a).se == 0
+    assert d.se < 0.2 * common.within(a).se
+    assert numbers.comparisons.difference(a, a).se == 0
 
 
 def test_thresholds_keep_the_best_scores_up_to_the_coverage():
     e = np.array([[1.0, 2, 3, 4]])
     f = made(e, score=[[0.4, 0.1, NAN, 0.2]])
-    assert np.array_equal(np.isfinite(numbers.thresholded(f, 0.5)), [[False, True, False, True]])
-    assert np.array_equal(np.isfinite(numbers.thresholded(f, 0.75)), [[True, True, False, True]])
-    assert np.all(np.isfinite(numbers.thresholded(f, 1.0))), "what cannot tell comes last"
+    assert np.array_equal(
+        np.isfinite(numbers.comparisons.thresholded(f, 0.5)), [[False, True, False, True]]
+    )
+    assert np.array_equal(
+        np.isfinite(numbers.comparisons.thresholded(f, 0.75)), [[True, True, False, True]]
+    )
+    assert np.all(np.isfinite(numbers.comparisons.thresholded(f, 1.0))), (
+        "what cannot tell comes last"
+    )
 
 
 def campaign(rng, R=5, P=42, K=4):

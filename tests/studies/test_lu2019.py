@@ -16,7 +16,7 @@ COUNTING = """
 import math
 from types import SimpleNamespace
 import numpy as np
-from aoabench.filters import access_node_kernels as K
+from aoabench.kernels import access_nodes as K
 from aoabench.models.motion import ConstantAcceleration
 
 class Counted:
@@ -72,7 +72,7 @@ def test_our_count_is_what_the_kernel_multiplies():
     lines = [line.split() for line in done.stdout.splitlines()]
     assert len(lines) == 6
     for method, M, count in lines:
-        assert N.our_count(method, int(M)) == int(count)
+        assert N.cost.our_count(method, int(M)) == int(count)
 
 
 def test_textbook_count_is_what_dense_loops_multiply():
@@ -90,11 +90,11 @@ def test_textbook_count_is_what_dense_loops_multiply():
         (n, n, m),
     ]
     products.remove((m, n, n))  # H P is the transpose of P H^T
-    assert N.textbook_count(m, n) == sum(a * b * c for a, b, c in products) + m**3
+    assert N.cost.textbook_count(m, n) == sum(a * b * c for a, b, c in products) + m**3
 
 
 def test_printed_counts():
-    assert [N.printed_count(name, 4, 9) for name in N.METHODS] == [27648, 13824, 44]
+    assert [N.cost.printed_count(name, 4, 9) for name in N.METHODS] == [27648, 13824, 44]
 
 
 def made_up(levels, rng, trials=40):
@@ -126,10 +126,10 @@ def test_crossing_is_found_with_its_interval(rng):
     runs = made_up([0.0, 1.0, 3.0, 5.0], rng)
     half = runs[runs["noise.an_error"] == "common"]
     for name, where in (("ekf_toa_aoa", 2.0), ("ekf_aoa", 1.0)):
-        found = N.crossing(half, name)
+        found = N.trials.crossing(half, name)
         assert found["crossing_low_m"] <= found["crossing_m"] <= found["crossing_high_m"]
         assert found["crossing_m"] == pytest.approx(where, abs=0.1)
-    never = N.crossing(half[half["noise.an_sigma_m"] <= 1.0], "ekf_toa_aoa")
+    never = N.trials.crossing(half[half["noise.an_sigma_m"] <= 1.0], "ekf_toa_aoa")
     assert np.isinf(never["crossing_m"])
 
 

@@ -137,7 +137,7 @@ def test_exact_posterior_converges_under_refinement(h):
     """Doubling the nodes changes the mean by less than 1 mm (adaptive: the table's steps are of one
     degree, 5 mm).
     """
-    coarse, fine = (STUDY.numbers.exact_mean(h, nodes) for nodes in (120, 240))
+    coarse, fine = (STUDY.numbers.update.exact_mean(h, nodes) for nodes in (120, 240))
     assert np.allclose(coarse, fine, atol=5e-3 if isinstance(h, AzElAdaptive) else 1e-3)
 
 
@@ -146,9 +146,9 @@ def test_exact_posterior_equals_importance_sampling():
     6e-6.
     """
     h = UnitVector(kappa=(36 / np.pi) ** 2)
-    y, r = STUDY.numbers.measurement_of(h)
+    y, r = STUDY.numbers.update.measurement_of(h)
     rng = np.random.default_rng(4)
-    x = STUDY.numbers.FIG2["mean"] + 0.75 * rng.standard_normal((1, 4_000_000, 3))
+    x = STUDY.numbers.update.FIG2["mean"] + 0.75 * rng.standard_normal((1, 4_000_000, 3))
     from aoabench.types import Anchors
 
     L = h.loglik(x, Anchors(np.zeros((1, 1, 3)), np.eye(3)[None, None]), y, r)[0]
@@ -156,7 +156,7 @@ def test_exact_posterior_equals_importance_sampling():
     w /= w.sum()
     mean = w @ x[0]
     se = np.sqrt((w**2) @ (x[0] - mean) ** 2)
-    assert np.all(np.abs(mean - STUDY.numbers.exact_mean(h, 160)) < 5 * se)
+    assert np.all(np.abs(mean - STUDY.numbers.update.exact_mean(h, 160)) < 5 * se)
 
 
 def test_earlier_versions_elevation_is_a_colatitude():

@@ -1,0 +1,93 @@
+"""What the items share: methods, the fixes of a run, and statistics over campaigns (R, T)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from aoabench.maths import statistics
+from aoabench.maths.statistics import Estimate
+from aoabench.store.fixes import Fixes
+from aoabench.types import Outcome
+
+Runs = Iterable[tuple[Any, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
+METHODS = (
+    "single_anchor_1",
+    "single_anchor_2",
+    "single_anchor_3",
+    "best_anchor",
+    "rssi_anchor",
+    "anchor_mean",
+    "ls_lines",
+    "ls_anchor_discarding",
+    "vmf_ml",
+)
+# methods whose score measures how badly the anchors agree
+SCORED = ("anchor_mean", "ls_lines", "ls_anchor_discarding", "vmf_ml")
+ERRORS = np.round(np.arange(0.0, 6.01, 0.05), 2)  # m, grid of the distribution functions
+
+
+def printed_grids() -> dict[str, np.ndarray]:
+    """Printed medians (42,) m of Figure 8, in the order of the scenario's points."""
+    nodes = yaml.safe_load((Path(__file__).parents[1] / "grids.yaml").read_text(encoding="utf-8"))
+    return {name: np.array(rows)[::-1].ravel() for name, rows in nodes.items()}
+
+
+def columns(**estimates: Estimate) -> dict[str, float]:
+    """Columns NAME and NAME_se of each estimate."""
+    found = {}
+    for name, estimate in estimates.items():
+        found |= estimate.columns(name)
+    return found
+
+
+def error(f: Fixes) -> np.ndarray:
+    """Horizontal errors (R, T) m; NaN where there is no fix."""
+    return f.error_xy_m.astype(float)
+
+
+def within(e: np.ndarray, limit_m: float = 1.0) -> Estimate:
+    """Share of the given fixes (R, T) whose error is at most `limit_m`."""
+    return statistics.ratio((e <= limit_m).sum(axis=1), np.isfinite(e).sum(axis=1))
+
+
+def rms(e: np.ndarray) -> float:
+    """Root mean square of the given errors."""
+    return float(np.sqrt(np.nanmean(e**2)))
+
+
+def lost(f: Fixes) -> Estimate:
+    """R_d, the share of fixes that are rejected, among those for which anything was measured."""
+    tried = f.outcome != Outcome.FAILED
+    return statistics.ratio((f.outcome == Outcome.REJECTED).sum(axis=1), tried.sum(axis=1))
+
+
+def discarded(f: Fixes, without_vote: Fixes) -> Estimate:
+    """The other reading of R_d: the share of measurements that no fix uses.
+
+    `without_vote` are the fixes that use every measurement.
+    """
+    measured = without_vote.anchors_used.sum(axis=1)
+    return statistics.ratio(measured - np.nan_to_num(f.anchors_used).sum(axis=1), measured)
+
+
+def medians(e: np.ndarray, points: int) -> np.ndarray:
+    """Each campaign's median error (R, P) m at each point; NaN where all its fixes are rejected."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.nanmedian(e.reshape(len(e), points, -1), axis=2)
+
+
+def filters(fixes: dict[str, Fixes], kind: str = "boxes") -> dict[float, Fixes]:
+    """The discrepancy filters of a run by R_sigma; df_boxes_04 is that of 0.4."""
+    return {int(name[-2:]) / 10: f for name, f in fixes.items() if name.startswith(f"df_{kind}_")}
+
+
+def only(runs: Runs) -> tuple[Any, dict[str, Fixes]]:
+    """The one cell of a run."""
+    return next(iter(runs))

@@ -1,0 +1,148 @@
+"""Paired comparisons over campaigns: methods, thresholds, boxes against ellipses, errata."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from aoabench.maths import statistics
+from aoabench.maths.statistics import Estimate
+from aoabench.store.fixes import Fixes
+
+from .common import (
+    METHODS,
+    SCORED,
+    Runs,
+    columns,
+    error,
+    filters,
+    lost,
+    only,
+    rms,
+    within,
+)
+
+MOVED_M = 1e-4  # positions further apart than this are different fixes
+
+
+def difference(a: np.ndarray, b: np.ndarray, limit_m: float = 1.0) -> Estimate:
+    """P(error <= limit) of errors a minus that of errors b (R, T), paired over campaigns."""
+    hits, given = zip(*(((e <= limit_m).sum(axis=1), np.isfinite(e).sum(axis=1)) for e in (a, b)))
+    return statistics.ratio_difference(hits[0], given[0], hits[1], given[1])
+
+
+def ranking(runs: Runs) -> pd.DataFrame:
+    """P(error <= 1 m) of each method minus that of others, paired over campaigns.
+
+    `at`: `all` (each on its own fixes), `accepted` (both on the fixes that the filter gives),
+    `coverage` (the method rejects the fixes of the worst score until it gives as many as the
+    filter).
+    """
+    _, fixes = only(runs)
+    errors = {m: error(fixes[m]) for m in METHODS}
+    rows = []
+    for r, f in filters(fixes).items():
+        e, name = error(f), f"df {r:g}"
+        accepted = np.isfinite(e)
+        for m, other in errors.items():
+            rows.append(_more("all", name, m, e, other))
+            rows.append(_more("accepted", name, m, e, np.where(accepted, other, np.nan)))
+            if m in SCORED:
+                as_many = thresholded(fixes[m], accepted.mean())
+                rows.append(_more("coverage", name, m, e, as_many))
+    for m, other in itertools.permutations(METHODS, 2):
+        rows.append(_more("all", m, other, errors[m], errors[other]))
+    return pd.DataFrame(rows)
+
+
+def _more(at: str, method: str, other: str, a: np.ndarray, b: np.ndarray) -> dict[str, Any]:
+    """A row of `ranking` from the errors of both methods (R, T)."""
+    share, more = np.isfinite(a).mean(), difference(a, b)
+    return {"at": at, "method": method, "other": other, **columns(more=more), "coverage": share}
+
+
+def thresholded(f: Fixes, coverage: float) -> np.ndarray:
+    """Errors (R, T) with the fixes of the worst scores rejected, so that this share of all is
+    given.
+
+    A fix without a score (one anchor alone) counts as the worst: nothing vouches for it.
+    """
+    e = error(f)
+    score = np.where(np.isfinite(f.score), f.score, np.inf)
+    score = np.where(np.isfinite(e), score, np.nan)
+    order = np.sort(score[np.isfinite(e)])
+    keep = min(round(coverage * e.size), len(order))
+    return np.where(score <= order[max(keep - 1, 0)], e, np.nan)
+
+
+def rejection(runs: Runs) -> pd.DataFrame:
+    """P(error <= 1 m) and RMSE against coverage: scores thresholded, and the discrepancy filter's
+    R_sigma sweep.
+    """
+    _, fixes = only(runs)
+    rows = []
+    for m in METHODS:
+        if m not in SCORED:
+            rows.append(_covered(m, error(fixes[m])))
+            continue
+        for coverage in np.round(np.arange(0.1, 1.01, 0.05), 2):
+            rows.append(_covered(m, thresholded(fixes[m], coverage)))
+    for kind in ("boxes", "exact"):
+        for r, f in filters(fixes, kind).items():
+            rows.append(_covered(f"df {kind}", error(f), r))
+    return pd.DataFrame(rows)
+
+
+def _covered(method: str, e: np.ndarray, r_sigma: float = np.nan) -> dict[str, Any]:
+    """A row of `rejection` from errors (R, T), NaN where the method rejects."""
+    shares = columns(coverage=statistics.mean(np.isfinite(e).mean(axis=1)), within_1m=within(e))
+    rmse = statistics.jackknife(e, rms).columns("rmse_m", "rmse_se")
+    return {"method": method, "r_sigma": r_sigma, **shares, **rmse}
+
+
+def boxes(runs: Runs) -> pd.DataFrame:
+    """Boxes against exact ellipses per R_sigma: how often outcome or number of anchors differ, and
+    how good both are.
+    """
+    _, fixes = only(runs)
+    exact = filters(fixes, "exact")
+    rows = []
+    for r, f in filters(fixes).items():
+        if r not in exact:
+            continue
+        g = exact[r]
+        other = (f.outcome != g.outcome) | (f.anchors_used != g.anchors_used)
+        moved = other | (np.abs(error(f) - error(g)) > MOVED_M)
+        values = {
+            "other_set": statistics.mean(other.mean(axis=1)),
+            "other_position": statistics.mean(moved.mean(axis=1)),
+        }
+        for kind, h in (("boxes", f), ("exact", g)):
+            values |= {
+                f"within_1m_{kind}": within(error(h)),
+                f"lost_{kind}": lost(h),
+                f"rmse_{kind}_m": statistics.jackknife(error(h), rms),
+            }
+        values["more"] = difference(error(g), error(f))
+        rows.append({"r_sigma": r, **columns(**values)})
+    return pd.DataFrame(rows)
+
+
+def errata(runs: Runs) -> pd.DataFrame:
+    """What each erratum does alone at R_sigma = 1, in percent points.
+
+    `more` is P(error <= 1 m) put right minus as the paper ran it, `moved` the share of the packets
+    whose fix changes.
+    """
+    _, fixes = only(runs)
+    ran = filters(fixes)[1.0]
+    rows = []
+    for name in ("df_area_of_ties", "df_centre_of_estimate"):
+        f = fixes[name]
+        moved = (np.abs(error(ran) - error(f)) > MOVED_M) | (ran.outcome != f.outcome)
+        more, share = difference(error(f), error(ran)), statistics.mean(moved.mean(axis=1))
+        rows.append({"variant": name, **columns(more=more.percent(), moved=share.percent())})
+    return pd.DataFrame(rows)

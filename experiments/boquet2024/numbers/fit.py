@@ -1,0 +1,115 @@
+"""What the noise of the synthetic campaign was fitted to, and how well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from aoabench import resources
+from aoabench.engine.tiles import Draws
+from aoabench.maths import statistics
+from aoabench.maths.geometry import in_frames, to_azel, wrap
+from aoabench.maths.statistics import Estimate
+from aoabench.store.fixes import Fixes
+
+from .common import Runs, error, filters, lost, medians, only, printed_grids, within
+
+PRINTED = resources.printed("boquet2024")
+DAYS = {  # deg, both days
+    key: tuple(PRINTED[f"misfit/days/{key}/{day}"] for day in (1, 2))
+    for key in ("azimuth_mean", "azimuth_sd", "elevation_mean", "elevation_sd")
+}
+SWEEP = {  # R_sigma: P(error <= 1 m), R_d
+    r: (PRINTED[f"fig5/{r:g}/within"], PRINTED[f"fig6/{r:g}/lost"]) for r in (0.4, 2.0)
+}
+
+
+def day_statistics(
+    scenario: Any, noise: Any, seed: int, first: int, count: int
+) -> dict[str, np.ndarray]:
+    """Size of the mean, and standard deviation, of the first anchor's angle errors over the room in
+    deg, (campaigns, days) each.
+
+    The paper's are "average errors" of ten places that it does not name.
+    """
+    found: dict[str, list[list[float]]] = {key: [] for key in DAYS}
+    draws = Draws(scenario, noise, seed)
+    a, days = scenario.known_anchors, scenario.days_of
+    for r in range(first, first + count):
+        truth, batch = draws.tile(r, 1)
+        true = to_azel(*in_frames(truth[..., :3], a.position, a.rotation))
+        for key, measured, straight in zip(
+            ("azimuth", "elevation"), (batch.azimuth, batch.elevation), true
+        ):
+            e = np.rad2deg(wrap(measured[0, :, 0] - straight[0, :, 0]))
+            found[f"{key}_mean"].append([abs(np.nanmean(e[days == d])) for d in (0, 1)])
+            found[f"{key}_sd"].append([np.nanstd(e[days == d]) for d in (0, 1)])
+    return {key: np.array(value) for key, value in found.items()}
+
+
+def misfits(
+    fixes: dict[str, Fixes], days: dict[str, np.ndarray], points: int
+) -> Iterator[dict[str, Any]]:
+    """A row per number that the noise is fitted to: printed, ours with its standard error over
+    campaigns, and the misfit in units of the tolerance with which the fit weighs it.
+
+    After the mean of each grid two more rows compare it point by point, without a misfit.
+    """
+    for r, (p, share) in SWEEP.items():
+        f = filters(fixes)[r]
+        what = f"P(error <= 1 m) at R_sigma = {r:g}"
+        yield _misfit(what, f"within/{r:g}", p, within(error(f)), 0.02)
+        yield _misfit(f"R_d at R_sigma = {r:g}", f"lost/{r:g}", share, lost(f), 0.02)
+    for key, values in DAYS.items():
+        for d, value in enumerate(values):
+            what = f"{key.replace('_', ' ')}, day {d + 1} [deg]"
+            ours = statistics.mean(days[key][:, d])
+            yield _misfit(what, f"days/{key}/{d + 1}", value, ours, 1.5)
+    for name, grid in printed_grids().items():
+        if name in fixes:
+            yield from _grid_rows(name, grid, medians(error(fixes[name]), points))
+
+
+def _grid_rows(name: str, grid: np.ndarray, m: np.ndarray) -> Iterator[dict[str, Any]]:
+    """Rows of a printed grid (P,) from each campaign's medians (R, P)."""
+    ours = statistics.mean(np.nanmean(m, 1))
+    yield _misfit(f"mean of {name}'s medians [m]", f"grid/{name}", grid.mean(), ours, 0.1)
+    for key, what, number in (
+        ("ratio", f"root mean square log ratio to {name}'s grid", _log_ratio),
+        ("inside", f"share of {name}'s grid within 5..95 % of our campaigns", _inside),
+    ):
+        ours = statistics.jackknife(m, partial(number, grid))
+        yield {"what": what, "id": f"{key}/{name}", "ours": ours.value, "se": ours.se}
+
+
+def _log_ratio(grid: np.ndarray, m: np.ndarray) -> float:
+    """Root mean square log ratio of the mean campaign median (R, P) to a printed grid (P,)."""
+    return float(np.sqrt(np.nanmean(np.log(np.nanmean(m, axis=0) / grid) ** 2)))
+
+
+def _inside(grid: np.ndarray, m: np.ndarray) -> float:
+    """Share of a printed grid (P,) within the middle 90 % of campaigns' medians (R, P)."""
+    return float(
+        np.mean(
+            (grid >= np.nanquantile(m, 0.05, axis=0)) & (grid <= np.nanquantile(m, 0.95, axis=0))
+        )
+    )
+
+
+def _misfit(
+    what: str, key: str, printed: float, ours: Estimate, tolerance: float
+) -> dict[str, Any]:
+    row = {"what": what, "id": key, "printed": printed, "ours": ours.value, "se": ours.se}
+    return row | {"misfit": (ours.value - printed) / tolerance}
+
+
+def misfit(runs: Runs) -> pd.DataFrame:
+    """What `misfits` says of campaigns that the fit has not seen."""
+    cell, fixes = only(runs)
+    count = len(fixes["vmf_ml"].outcome)
+    days = day_statistics(cell.scenario, cell.noise, cell.seed, 0, count)
+    return pd.DataFrame(list(misfits(fixes, days, len(cell.scenario.points_m))))

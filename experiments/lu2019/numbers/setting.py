@@ -1,0 +1,105 @@
+"""Table I, Figures 2 and 3: pilots, map, and the errors of the measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from aoabench.engine.tiles import Draws
+from aoabench.maths import statistics
+from aoabench.maths.geometry import LIGHT
+
+from .common import cell_of
+
+Errors = dict[str, np.ndarray]  # of all measurements of a trial, by kind
+GRIDS = {
+    "toa_m": np.linspace(-12, 12, 97),
+    "azimuth_deg": np.linspace(-1, 1, 81),
+    "elevation_deg": np.linspace(-1, 1, 81),
+    "thermal_cm": np.geomspace(1e-3, 10, 81),
+}
+SHARES: dict[str, Callable[[Errors], np.ndarray]] = {
+    "angles_within_half_degree": lambda e: (
+        np.abs(np.concatenate([e["azimuth_deg"], e["elevation_deg"]])) <= 0.5
+    ),
+    "toa_within_10_m": lambda e: np.abs(e["toa_m"]) <= 10.0,
+    "thermal_within_printed": lambda e: (e["thermal_cm"] >= 0.1) & (e["thermal_cm"] <= 8.0),
+}
+
+
+def table1(scale: str) -> pd.DataFrame:
+    """Pilot parameters as the preset has them; the bandwidth follows from two of them."""
+    noise = cell_of().noise
+    rows = [
+        ("carrier_ghz", noise.carrier_ghz),
+        ("subcarrier_khz", noise.subcarrier_khz),
+        ("subcarriers", noise.subcarriers),
+        ("bandwidth_mhz", 1e-3 * noise.subcarrier_khz * noise.subcarriers),
+        ("power_dbm", noise.power_dbm),
+        ("array_gain_db", noise.array_gain_db),
+    ]
+    return pd.DataFrame(
+        [(name, float(value)) for name, value in rows], columns=["quantity", "value"]
+    )
+
+
+def fig2(scale: str) -> pd.DataFrame:
+    """Walls (x_m, y_m to x1_m, y1_m), access nodes (facing x1_m, y1_m) and the route's points, with
+    what they see.
+    """
+    scenario = cell_of().scenario
+    anchors, route = scenario.known_anchors, scenario.truth(np.random.default_rng(0))[:, :3]
+    sees = scenario.line_of_sight(route).sum(axis=1)
+    rows: list[tuple[Any, ...]] = [("wall", *a, np.nan, *b, np.nan) for a, b in scenario.segments]
+    facing = anchors.rotation[0, :, 0, :2]
+    rows += [("access node", *s, *f, np.nan) for s, f in zip(anchors.position[0], facing)]
+    rows += [("route", *p, np.nan, np.nan, n) for p, n in zip(route, sees)]
+    frame = pd.DataFrame(
+        rows, columns=["kind", "x_m", "y_m", "z_m", "x1_m", "y1_m", "line_of_sight"]
+    )
+    return frame.assign(area_m2=scenario.visited_area_m2, step_s=scenario.dt)
+
+
+def fig3(scale: str) -> pd.DataFrame:
+    """Distribution functions of the errors, and shares with standard errors over trials (kind
+    `share`).
+    """
+    cell, trials = cell_of(), {"quick": 8, "paper": 200}[scale]
+    draws = Draws(cell.scenario, cell.noise, cell.seed)
+    found = [errors for first in range(0, trials, 8) for errors in tile_errors(cell, draws, first)]
+    rows = []
+    for name, grid in GRIDS.items():
+        each = [np.searchsorted(np.sort(f[name]), grid) / len(f[name]) for f in found]
+        cdf = np.mean(each, axis=0)
+        rows += [("cdf", name, x, p, np.nan, trials) for x, p in zip(grid, cdf)]
+    for name, inside in SHARES.items():
+        share = statistics.mean([np.mean(inside(f)) for f in found]).percent()
+        rows.append(("share", name, np.nan, share.value, share.se, trials))
+    ratio = statistics.mean(
+        [np.sqrt(np.mean(f["toa_m"] ** 2)) / (1e-2 * np.median(f["thermal_cm"])) for f in found]
+    )
+    rows.append(("ratio", "all_over_thermal", np.nan, ratio.value, ratio.se, trials))
+    return pd.DataFrame(rows, columns=["kind", "name", "x", "value", "se", "trials"])
+
+
+def tile_errors(cell: Any, draws: Draws, first: int) -> Iterator[Errors]:
+    """Errors of the measurements of each of eight trials, and thermal deviations of the times."""
+    truth, batch = draws.tile(first, 8)
+    assert batch.delay is not None
+    anchors = cell.scenario.known_anchors
+    offset = truth[:, :, None, :3] - anchors.position
+    local = (anchors.rotation[0] @ offset[..., None])[..., 0]
+    d = np.linalg.norm(local, axis=-1)
+    azimuth = np.arctan2(local[..., 1], local[..., 0])
+    elevation = np.arcsin(local[..., 2] / d)
+    errors = {
+        "toa_m": LIGHT * batch.delay - d,
+        "azimuth_deg": np.rad2deg(batch.azimuth - azimuth),
+        "elevation_deg": np.rad2deg(batch.elevation - elevation),
+        "thermal_cm": 100 * LIGHT * cell.noise.delay_sigma(batch.rssi),
+    }
+    for r, seen in enumerate(np.isfinite(batch.azimuth)):
+        yield {name: value[r][seen] for name, value in errors.items()}

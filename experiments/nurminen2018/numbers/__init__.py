@@ -1,0 +1,7 @@
+"""Nurminen et al. 2018: the numbers behind each table and figure, one function per item, each
+giving one frame.
+"""
+
+from .models import fig1, table1
+from .replications import adaptivity, fig3, fig4, frames, layouts, particles
+from .update import fig2
