@@ -14,14 +14,16 @@ import numpy as np
 import pandas as pd
 
 from aoabench import bounds
+from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
 from aoabench.engine.tiles import Draws, estimate_tile
 from aoabench.maths import statistics
 from aoabench.maths.statistics import Estimate
+from aoabench.roles import Scenario
 from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 
-Runs = Iterable[tuple[Any, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
+Runs = Iterable[tuple[Cell, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
 PROPOSED = "ml_kcorr"
 FEW = 10  # positions: fewer give no standard error
 CLASSES = {
@@ -31,20 +33,20 @@ CLASSES = {
 }
 
 
-def positions(cell: Any) -> np.ndarray:
+def positions(cell: Cell) -> np.ndarray:
     """True positions (P, 3) m of a cell."""
     return Draws(cell.scenario, cell.noise, cell.seed).tile(0, 1)[0][0]
 
 
-def bound(cell: Any) -> tuple[np.ndarray, np.ndarray]:
+def bound(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
     """Trace of the Cramér-Rao bound (P,) m^2 at each position [(30), (31)], and its horizontal
     part.
     """
-    C = bounds.crb(cell.noise.information(positions(cell), cell.scenario.known_anchors))
+    C = bounds.crb(cell.noise.information(positions(cell), cell.scenario.true_anchors))
     return np.trace(C, axis1=-2, axis2=-1), C[:, 0, 0] + C[:, 1, 1]
 
 
-def deviation_deg(cell: Any) -> float:
+def deviation_deg(cell: Cell) -> float:
     """Deviation of a cell's angles in degrees, without the rounding of the way through radians."""
     return round(float(np.rad2deg(cell.noise.sigma)), 9)
 
@@ -70,7 +72,7 @@ def standing(above: Estimate, z: float = 3.0) -> str:
     )
 
 
-def accuracy(cell: Any, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
+def accuracy(cell: Cell, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
     """A row per estimator of one cell: RMSE, its ratio to the bound, iterations, and both against
     the proposed one.
     """
@@ -111,7 +113,7 @@ def updates(name: str, f: Fixes, proposed: Fixes) -> dict[str, Any]:
 def fig5(scale: str) -> pd.DataFrame:
     """Positions and base stations."""
     cell = compose_cells(["scenario=bs_grid", "noise=ae_normal", "estimator=[ls]"])[0]
-    kinds = {"position": positions(cell), "base station": cell.scenario.known_anchors.position[0]}
+    kinds = {"position": positions(cell), "base station": cell.scenario.true_anchors.position[0, 0]}
     return pd.DataFrame(
         [(kind, *x) for kind, found in kinds.items() for x in found],
         columns=["kind", "x_m", "y_m", "z_m"],
@@ -143,7 +145,7 @@ def fig7(runs: Runs) -> pd.DataFrame:
     return pd.DataFrame([row for cell, fixes in runs for row in accuracy(cell, fixes)])
 
 
-def bias(cell: Any, name: str, draws: int) -> Estimate:
+def bias(cell: Cell, name: str, draws: int) -> Estimate:
     """Squared bias in percent of the mean square error: mean over positions, freed from the noise
     of the mean error.
     """
@@ -257,7 +259,7 @@ def zones(runs: Runs) -> pd.DataFrame:
     )
 
 
-def zone(scenario: Any) -> str:
+def zone(scenario: Scenario) -> str:
     """A zone's name for people."""
     return "none" if scenario.zone == "none" else f"{scenario.zone} {scenario.clearance_m:g} m"
 

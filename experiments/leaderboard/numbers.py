@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from aoabench.cell import Cell
 from aoabench.maths import statistics
 from aoabench.maths.statistics import Estimate
 from aoabench.store.fixes import Fixes
@@ -33,7 +34,7 @@ def ble_room(frame: pd.DataFrame) -> pd.DataFrame:
     return _over_replications(frame, pd.Series("synthetic campaigns", index=frame.index), "xy")
 
 
-def bs_grid(runs: Iterable[tuple[Any, dict[str, Fixes]]]) -> pd.DataFrame:
+def bs_grid(runs: Iterable[tuple[Cell, dict[str, Fixes]]]) -> pd.DataFrame:
     """3-D RMSE per deviation of the angles, paired over the positions, which all replications
     share.
     """

@@ -27,7 +27,6 @@ WINGS = [
     ("models", "devices", "store", "bounds", "kernels"),
     ("cell",),
     ("roles",),
-    ("params",),
     ("types", "errors"),
     ("streams", "maths", "resources", "columns"),
 ]

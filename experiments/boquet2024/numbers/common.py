@@ -5,17 +5,17 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
 
+from aoabench.cell import Cell
 from aoabench.maths import statistics
 from aoabench.maths.statistics import Estimate
 from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 
-Runs = Iterable[tuple[Any, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
+Runs = Iterable[tuple[Cell, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
 METHODS = (
     "single_anchor_1",
     "single_anchor_2",
@@ -88,6 +88,6 @@ def filters(fixes: dict[str, Fixes], kind: str = "boxes") -> dict[float, Fixes]:
     return {int(name[-2:]) / 10: f for name, f in fixes.items() if name.startswith(f"df_{kind}_")}
 
 
-def only(runs: Runs) -> tuple[Any, dict[str, Fixes]]:
+def only(runs: Runs) -> tuple[Cell, dict[str, Fixes]]:
     """The one cell of a run."""
     return next(iter(runs))

@@ -14,6 +14,7 @@ from aoabench.engine.tiles import Draws
 from aoabench.maths import statistics
 from aoabench.maths.geometry import in_frames, to_azel, wrap
 from aoabench.maths.statistics import Estimate
+from aoabench.roles import Noise, Scenario
 from aoabench.store.fixes import Fixes
 
 from .common import Runs, error, filters, lost, medians, only, printed_grids, within
@@ -29,7 +30,7 @@ SWEEP = {  # R_sigma: P(error <= 1 m), R_d
 
 
 def day_statistics(
-    scenario: Any, noise: Any, seed: int, first: int, count: int
+    scenario: Scenario, noise: Noise, seed: int, first: int, count: int
 ) -> dict[str, np.ndarray]:
     """Size of the mean, and standard deviation, of the first anchor's angle errors over the room in
     deg, (campaigns, days) each.
@@ -38,9 +39,10 @@ def day_statistics(
     """
     found: dict[str, list[list[float]]] = {key: [] for key in DAYS}
     draws = Draws(scenario, noise, seed)
-    a, days = scenario.known_anchors, scenario.days_of
+    a = scenario.true_anchors
     for r in range(first, first + count):
         truth, batch = draws.tile(r, 1)
+        days = scenario.day_of(truth.shape[1])
         true = to_azel(*in_frames(truth[..., :3], a.position, a.rotation))
         for key, measured, straight in zip(
             ("azimuth", "elevation"), (batch.azimuth, batch.elevation), true

@@ -29,12 +29,12 @@ def standard_room(which: str = "") -> Anchors:
     those of Figure 2.
     """
     words = [f"scenario=standard_room{which}", "noise=ae_normal", "estimator=[anchor_mean]"]
-    return compose_cells(words)[0].scenario.known_anchors
+    return compose_cells(words)[0].scenario.true_anchors
 
 
 def upright(position: np.ndarray) -> Anchors:
     """Anchors (B, 3) m whose frames are the global one."""
-    return Anchors(position[None], np.broadcast_to(np.eye(3), (1, len(position), 3, 3)))
+    return Anchors(position, np.broadcast_to(np.eye(3), (len(position), 3, 3)))
 
 
 def fig2(scale: str) -> pd.DataFrame:
@@ -90,7 +90,7 @@ def fig3a(scale: str) -> pd.DataFrame:
     """
     n = 10_000 if scale == "quick" else 1_000_000
     node, rows = np.array([8.5, 3.0, 0.0]), []
-    pair = standard_room().position[0, :2]
+    pair = standard_room().position[0, 0, :2]
     for clip in (False, True):
         xy = single_positions(node, pair, normal_errors(n, 2), clip)
         for name, found in (("B", xy[:, 1]), ("mean of A and B", xy.mean(axis=1))):
@@ -112,7 +112,7 @@ def fig3b(scale: str) -> pd.DataFrame:
     """
     n, step = (2_000, 1.0) if scale == "quick" else (1_000_000, 0.5)
     errors, side, rows = normal_errors(n, 3), np.arange(step / 2, ROOM, step), []
-    anchors = standard_room().position[0]
+    anchors = standard_room().position[0, 0]
     for x in side:
         for y in side:
             squares = []

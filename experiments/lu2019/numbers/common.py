@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
 
 METHODS = ("ekf_toa_aoa", "ekf_aoa", "wcg")
@@ -14,7 +13,7 @@ def cell_of(
     *words: str,
     scenario: str = "indoor_map",
     methods: tuple[str, ...] = (FILTERS, "estimator=[wcg]"),
-) -> Any:
+) -> Cell:
     """A cell with the study's noise, from overrides, a scenario and the overrides that choose the
     methods.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from aoabench.engine.tiles import tile_of
 from aoabench.engine.timing import time_estimators
 
 from .common import METHODS, cell_of
@@ -45,18 +46,19 @@ def table2(scale: str) -> pd.DataFrame:
     """
     M, n = 4, 9
     cell = cell_of("scenario.nearest=4", "noise.an_sigma_m=0.5")
-    seconds = time_estimators(
-        cell.scenario, cell.noise, cell.estimators, cell.seed, {"quick": 3, "paper": 15}[scale]
-    )
+    repeats = {"quick": 3, "paper": 15}[scale]
+    reps = repeats * max(tile_of(e, cell.scenario) for e in cell.estimators.values())
+    given = cell.scenario, cell.noise, cell.estimators, cell.seed
+    timings = time_estimators(*given, reps + 1, repeats)
     rows = []
     for name in METHODS:
         m = {"ekf_toa_aoa": 3 * M, "ekf_aoa": 2 * M, "wcg": 0}[name]
-        spent, trials, steps = seconds[name]
+        timing = timings[name]
         rows.append(
             {
                 "estimator": name, "printed_formula": printed_count(name, M, n),
                 "textbook": textbook_count(m, n) if m else np.nan, "ours": our_count(name, M),
-                "microseconds_per_step": 1e6 * spent / (trials * steps),
+                "microseconds_per_step": 1e6 * timing.seconds / (timing.replications * timing.steps),
             }
         )  # fmt: skip
     return pd.DataFrame(rows)

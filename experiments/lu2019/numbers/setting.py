@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from aoabench.cell import Cell
 from aoabench.engine.tiles import Draws
 from aoabench.maths import statistics
 from aoabench.maths.geometry import LIGHT
@@ -51,11 +52,13 @@ def fig2(scale: str) -> pd.DataFrame:
     what they see.
     """
     scenario = cell_of().scenario
-    anchors, route = scenario.known_anchors, scenario.truth(np.random.default_rng(0))[:, :3]
+    anchors, route = scenario.true_anchors, scenario.truth(np.random.default_rng(0))[:, :3]
     sees = scenario.line_of_sight(route).sum(axis=1)
-    rows: list[tuple[Any, ...]] = [("wall", *a, np.nan, *b, np.nan) for a, b in scenario.segments]
-    facing = anchors.rotation[0, :, 0, :2]
-    rows += [("access node", *s, *f, np.nan) for s, f in zip(anchors.position[0], facing)]
+    rows: list[tuple[Any, ...]] = [
+        ("wall", *a, np.nan, *b, np.nan) for a, b in scenario.wall_segments
+    ]
+    facing = anchors.rotation[0, 0, :, 0, :2]
+    rows += [("access node", *s, *f, np.nan) for s, f in zip(anchors.position[0, 0], facing)]
     rows += [("route", *p, np.nan, np.nan, n) for p, n in zip(route, sees)]
     frame = pd.DataFrame(
         rows, columns=["kind", "x_m", "y_m", "z_m", "x1_m", "y1_m", "line_of_sight"]
@@ -85,13 +88,13 @@ def fig3(scale: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["kind", "name", "x", "value", "se", "trials"])
 
 
-def tile_errors(cell: Any, draws: Draws, first: int) -> Iterator[Errors]:
+def tile_errors(cell: Cell, draws: Draws, first: int) -> Iterator[Errors]:
     """Errors of the measurements of each of eight trials, and thermal deviations of the times."""
     truth, batch = draws.tile(first, 8)
     assert batch.delay is not None
-    anchors = cell.scenario.known_anchors
+    anchors = cell.scenario.true_anchors
     offset = truth[:, :, None, :3] - anchors.position
-    local = (anchors.rotation[0] @ offset[..., None])[..., 0]
+    local = (anchors.rotation[0, 0] @ offset[..., None])[..., 0]
     d = np.linalg.norm(local, axis=-1)
     azimuth = np.arctan2(local[..., 1], local[..., 0])
     elevation = np.arcsin(local[..., 2] / d)

@@ -30,9 +30,11 @@ def fig3(scale: str) -> pd.DataFrame:
             tracks[name] = estimate_tile(draws, estimator, 0)[1].position[0]
         for name, track in tracks.items():
             rows += [(noise, name, k, *x, np.nan, np.nan) for k, x in enumerate(track[:, :3])]
-        anchors = cell.scenario.known_anchors
-        poles = anchors.rotation[0, :, 2]  # the global direction of each pole
-        rows += [(noise, "anchor", j, *s, *poles[j, :2]) for j, s in enumerate(anchors.position[0])]
+        anchors = cell.scenario.true_anchors
+        poles = anchors.rotation[0, 0, :, 2]  # the global direction of each pole
+        rows += [
+            (noise, "anchor", j, *s, *poles[j, :2]) for j, s in enumerate(anchors.position[0, 0])
+        ]
     return pd.DataFrame(
         rows, columns=["noise", "kind", "step", "x_m", "y_m", "z_m", "pole_x", "pole_y"]
     )
