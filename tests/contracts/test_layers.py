@@ -27,6 +27,7 @@ WINGS = [
     ("models", "devices", "store", "bounds", "kernels"),
     ("cell",),
     ("roles",),
+    ("params",),
     ("types", "errors"),
     ("streams", "maths", "resources", "columns"),
 ]
