@@ -42,7 +42,8 @@ def test_time_bound_by_hand():
     assert abs(M * (M + 1) * (2 * M + 1) / 2.684352e8 - 1) < 1e-4
     variance = 3 / (8 * np.pi**2 * 120e3**2 * 1e5 * M * (M + 1) * (2 * M + 1))
     assert variance == pytest.approx(9.829e-26, rel=1e-3, abs=0)
-    assert NOISE.delay_sigma(NOISE.noise_dbm + 50.0) == pytest.approx(np.sqrt(variance), abs=0)
+    ours = NOISE.delay_sigma(NOISE.noise_dbm + 50.0)
+    assert ours == pytest.approx(np.sqrt(variance), rel=1e-9, abs=0)
 
 
 def bound_by_fisher_information(signal, at, step, snr):
