@@ -266,6 +266,21 @@ def test_keys_depend_on_what_numbers_depend_on_and_nothing_else():
     assert mine[1] == base[1], "another estimator's parameter"
 
 
+@pytest.mark.parametrize("library", ["numpy", "scipy", "numba", "shapely"])
+def test_keys_depend_on_the_version_of_each_library(library, monkeypatch):
+    cell = compose_cells(["filter=[ekf_vmf]"])[0]
+
+    def keys():
+        return store.draws_key(cell), store.part_key(cell, "ekf_vmf"), store.code_key(cell)
+
+    before, version = keys(), store.version
+    assert version(library)
+    monkeypatch.setattr(store, "version", lambda name: "0" if name == library else version(name))
+    assert not set(keys()) & set(before)
+    monkeypatch.undo()
+    assert keys() == before
+
+
 def test_source_hash_follows_imports_and_ignores_comments(tmp_path, monkeypatch):
     """Through a helper beside the plug-in too, which `plugins` does not name."""
     monkeypatch.syspath_prepend(tmp_path)
