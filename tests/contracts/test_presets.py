@@ -85,12 +85,6 @@ def test_every_estimator_is_better_than_no_measurement_at_all(group, name):
     assert np.median(rows["rmse_3d_m"]) < (1.5 if group == "filter" else 3.0)
 
 
-@pytest.mark.parametrize("experiment", options("experiment"))
-def test_every_experiment_composes(experiment):
-    cells = compose_cells([f"experiment={experiment}"])
-    assert len({c.id for c in cells}) == len(cells) >= 1
-
-
 def test_the_names_that_users_type_exist():
     assert {
         f"{a}_{b}"
