@@ -203,10 +203,16 @@ def plain_ekf(batch, scenario, i, toa):
 @pytest.mark.parametrize("engine", ["auto", "numpy"])
 @pytest.mark.parametrize("toa", [True, False])
 def test_the_filter_is_a_plain_ekf_that_knows_of_the_nodes_uncertainty(toa, engine, rng):
-    """Each node with deviations of its own; the same filter told of exact nodes is another one."""
+    """Each node with deviations of its own; the same filter told of exact nodes is another one.
+
+    Two nodes have their backs to the walk: azimuths jump between -pi and pi.
+    """
     position = np.concatenate([rng.uniform(-10, 10, (1, B, 2)), rng.uniform(2, 3, (1, B, 1))], -1)
-    sigma = rng.uniform(0.1, 1.0, (1, B, 3))
-    _, batch, scenario = track(rng, Anchors(position, upright(rng, B)[None], sigma), R=3, T=12)
+    position[0, :2, :2] = [[0.0, 12.0], [12.0, 0.0]]
+    rotation, sigma = upright(rng, B), rng.uniform(0.1, 1.0, (1, B, 3))
+    rotation[:2] = [[[0, 1, 0], [-1, 0, 0], [0, 0, 1]], np.eye(3)]
+    _, batch, scenario = track(rng, Anchors(position, rotation[None], sigma), R=3, T=12)
+    assert np.nanmin(batch.azimuth[..., :2]) < -3 < 3 < np.nanmax(batch.azimuth[..., :2])
     found = an.AccessNodeEKF(toa, engine=engine)(batch, scenario, None)
     for i in range(3):
         mean, covariance = plain_ekf(batch, scenario, i, toa)

@@ -72,6 +72,25 @@ def test_functions_broadcast_over_points(h, rng):
         )
 
 
+def test_variances_are_the_squares_of_the_stated_deviations(rng):
+    """Azimuth and elevation in turn; the unit vector takes the larger of the two thrice [(7)]."""
+    anchors, shape = make_anchors(rng, 3), (2, 5, 3)
+    a, e = rng.uniform(0.01, 0.3, (2, *shape))
+    batch = Batch(
+        rng.uniform(-3, 3, shape), rng.uniform(-1, 1, shape), anchors,
+        azimuth_sigma=a, elevation_sigma=e,
+    )  # fmt: skip
+    y, r = AzEl().observe(batch)
+    assert np.array_equal(y[..., 0::2], batch.azimuth)
+    assert np.array_equal(y[..., 1::2], batch.elevation)
+    assert np.allclose(r[..., 0::2], a**2, rtol=1e-14, atol=0)
+    assert np.allclose(r[..., 1::2], e**2, rtol=1e-14, atol=0)
+    _, r = UnitVector().observe(batch)
+    assert np.allclose(r.reshape(*shape, 3), np.maximum(a, e)[..., None] ** 2, rtol=1e-14, atol=0)
+    for own in (AzEl(sigma_deg=4.0), UnitVector(kappa=1 / np.deg2rad(4.0) ** 2)):
+        assert np.allclose(own.observe(batch)[1], np.deg2rad(4.0) ** 2, rtol=1e-14, atol=0)
+
+
 def test_directions_use_the_anchors_rotation(rng):
     """Erratum N8: (5) and (9) omit R_j; without it the expected direction is another one."""
     position, R = np.array([[[1.0, 2.0, 3.0]]]), facing([[1.0, 0.0, 0.0]])[None]
@@ -181,13 +200,6 @@ def test_measurements_without_stated_deviations_need_a_parameter(h, rng):
     anchors = make_anchors(rng)
     with pytest.raises(BadValue, match="do not state"):
         h.observe(Batch(np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), anchors))
-
-
-def test_kappa_follows_the_larger_stated_deviation(rng):
-    anchors = make_anchors(rng, 1)
-    one = np.ones((1, 1, 1))
-    batch = Batch(0 * one, 0 * one, anchors, azimuth_sigma=0.1 * one, elevation_sigma=0.2 * one)
-    assert np.allclose(UnitVector().observe(batch)[1], 0.04)
 
 
 @pytest.mark.parametrize("h", [AzEl(), UnitVector()], ids=lambda h: type(h).__name__)
