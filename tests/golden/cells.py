@@ -8,19 +8,30 @@ Stored results are found by these ids. After a change that means to move them, w
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 
 from aoabench.composing import compose_cells
-from aoabench.config import options
+from aoabench.config import Cell, options
 from aoabench.types import UserError
+
+
+@cache
+def with_every_noise(scenario: str) -> dict[str, Cell]:
+    """The scenario's cells by noise, each with one estimator that fits; their ids depend on none."""
+    name = "filter=[ekf_aoa]"
+    if "room" in scenario:
+        name = "estimator=[anchor_mean]"
+    elif scenario.startswith("bs_grid"):
+        name = "estimator=[ml_kcorr]"
+    words = [f"scenario={scenario}", f"noise={','.join(options('noise'))}", name]
+    return {cell.noise_name: cell for cell in compose_cells(words)}
 
 
 def of_scenario(scenario: str) -> Iterator[str]:
     """A line `scenario NAME NOISE ID` for each noise, or `scenario NAME refused`."""
-    noises = ",".join(options("noise"))
-    words = [f"scenario={scenario}", f"noise={noises}", "estimator=[vmf_ml]"]
     try:
-        for cell in compose_cells(words):
-            yield f"scenario {scenario} {cell.noise_name} {cell.id}"
+        for noise, cell in with_every_noise(scenario).items():
+            yield f"scenario {scenario} {noise} {cell.id}"
     except UserError:  # a recording needs the file that it is in
         yield f"scenario {scenario} refused"
 

@@ -44,7 +44,7 @@ TRACK = [f"filter={chosen(KALMAN)}", f"estimator={chosen(SNAPSHOT)}"]
 REFERENCE = [f"{kind}_{model}" for kind in ("ekf", "ukf", "pf") for model in MODELS]
 CASES: dict[str, tuple[list[str], int]] = {  # name: overrides, replications
     **{
-        f"square_{noise}": (["scenario=square_track", f"noise={noise}", *TRACK], 130)
+        f"square_{noise}": (["scenario=square_track", f"noise={noise}", *TRACK], 90)
         for noise in ("ae_flip", "vmf", "ae_normal")
     },
     "particles": (
@@ -95,8 +95,8 @@ def lines(case: str) -> Iterator[str]:
     """A line `CASE ESTIMATOR COLUMN ROWS DIGEST` per estimator and column."""
     overrides, reps = CASES[case]
     with tempfile.TemporaryDirectory() as out:
-        serial = [f"reps={reps}", "runner.backend=sequential", "runner.n_jobs=1"]
-        frame = aoabench.run(*overrides, *serial, out=out)
+        serial = ["runner.backend=sequential", "runner.n_jobs=1", "runner.chunk=128"]
+        frame = aoabench.run(*overrides, f"reps={reps}", *serial, out=out)
     for estimator, rows in frame.groupby("estimator", sort=True):
         for column in COLUMNS:
             values = rows[column]
