@@ -12,6 +12,10 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 from aoabench.models.motion import RandomWalk
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.square_track import SquareTrack
+from tests import helpers
+
+pytest.approx = helpers.approx
+np.allclose, np.isclose = helpers.stated(np.allclose), helpers.stated(np.isclose)
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from aoabench.cli import main as main_module
 from aoabench.cli.main import cli, dispatch, main
+from aoabench.cli.main import main as main_module
 from aoabench.errors import RunError, UserError
 from aoabench.store import compare as compare_module
 

@@ -1,5 +1,7 @@
 """Errors, outcomes and consistency of single replications by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -33,6 +35,16 @@ def test_only_fixes_with_a_position_count_and_outcomes_are_counted():
         1,
         1,
     ]
+
+
+def test_consistency_is_that_of_the_fixes_with_a_position():
+    """A rejected fix may come with a position and a covariance: it counts in no mean."""
+    outcome = [[Outcome.OK, Outcome.REJECTED, Outcome.DIVERGED]]
+    covariance = np.tile(4 * np.eye(3), (1, 3, 1, 1))
+    found, truth = estimates([[[2, 0, 0], [50, 0, 0], [0, 4, 0]]], outcome, covariance)
+    row = metrics.per_replication(replace(found, iterations=np.array([[2.0, 9.0, 4.0]])), truth)
+    assert row["nees"][0] == pytest.approx((1 + 4) / 2)
+    assert row["iterations"][0] == pytest.approx(3)
 
 
 def test_height_is_missing_for_two_dimensional_methods_and_nothing_accepted_gives_nan():

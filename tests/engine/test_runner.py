@@ -270,6 +270,21 @@ def test_keys_depend_on_what_numbers_depend_on_and_nothing_else():
     assert mine[1] == base[1], "another estimator's parameter"
 
 
+@pytest.mark.parametrize("library", ["numpy", "scipy", "numba", "shapely"])
+def test_keys_depend_on_the_version_of_each_library(library, monkeypatch):
+    cell = compose_cells(["filter=[ekf_vmf]"])[0]
+
+    def found():
+        return keys.draws_key(cell), keys.part_key(cell, "ekf_vmf"), keys.code_key(cell)
+
+    before, version = found(), keys.version
+    assert version(library)
+    monkeypatch.setattr(keys, "version", lambda name: "0" if name == library else version(name))
+    assert not set(found()) & set(before)
+    monkeypatch.undo()
+    assert found() == before
+
+
 def test_source_hash_follows_imports_and_ignores_comments(tmp_path, monkeypatch):
     """Through a helper beside the plug-in too, which `plugins` does not name."""
     monkeypatch.syspath_prepend(tmp_path)

@@ -115,6 +115,29 @@ def test_max_reps_ends_it_and_is_told(tmp_path, capsys):
     assert told["relative_se"][0] == pytest.approx(told["se"][0] / told["mean"][0])
 
 
+@pytest.mark.parametrize(
+    ("goals", "reaches"),
+    [
+        (["until.relative_se=0.02"], lambda m: m.se <= 0.02 * m.value),
+        (["until.relative_se=0.02", "until.se=0.06"], lambda m: m.se <= 0.02 * m.value <= 0.06),
+        (["until.relative_se=0.03", "until.se=0.04"], lambda m: m.se <= 0.04 < 0.03 * m.value),
+    ],
+)
+def test_a_relative_error_is_reached_at_the_first_count_that_has_it(goals, reaches, tmp_path):
+    """Of the two errors both have to be reached where both are asked for."""
+    words = ["filter=[ekf_vmf]", "noise.sigma_deg=30", "until.metric=rmse_3d_m", "until.min_reps=8"]
+    cells = compose_cells([*words, *goals, "runner.n_jobs=1", f"runner.out={tmp_path}"])
+    done = runner.run(cells, progress=False)
+    values = aoabench.load(tmp_path).sort_values("replication")["rmse_3d_m"]
+    counts = cells[0].runner.until.counts
+    reached = counts.index(len(values))
+    assert 0 < reached < len(counts) - 1
+    assert [reaches(statistics.mean(values[:n])) for n in counts[: reached + 1]] == (
+        [False] * reached + [True]
+    )
+    assert done.precision[0]["reached"]
+
+
 def test_an_estimator_without_the_metric_does_not_hold_the_cell_up(tmp_path):
     """Kalman filters count no iterations."""
     words = ["filter=[ekf_vmf]", "until.metric=iterations", "until.se=1", "until.min_reps=20"]

@@ -190,7 +190,7 @@ def test_paired_differences_are_exact_and_cover():
         ]
     assert np.all(inside / 10_000 >= 0.94)
     reference = stats.ttest_rel(a, b)
-    assert pair.p_value == pytest.approx(reference.pvalue)
+    assert pair.p_value == pytest.approx(reference.pvalue, rel=1e-6, abs=0)
     assert pair.interval() == pytest.approx(tuple(reference.confidence_interval()))
 
 
@@ -242,6 +242,39 @@ def test_undecided_is_said():
     assert undecided(0.13, 0.005, Estimate(0.9, 0.5))
     assert not undecided(0.13, 0.005, Estimate(0.131, 0.001))
     assert not undecided(2.3, 0.05, Estimate(8.7, 0.3)), "clearly another one"
+
+
+@pytest.mark.parametrize(
+    ("expected", "value", "se", "z"),
+    [
+        (True, 0.13, 0.00834, 3.0),  # z se = 0.02502: above five times 0.005
+        (False, 0.13, 0.00833, 3.0),
+        (True, 0.13, 0.01251, 2.0),
+        (False, 0.13, 0.01249, 2.0),
+        (True, 0.1649, 0.01, 3.0),  # 0.0349 off: within the rounding and z se
+        (False, 0.1651, 0.01, 3.0),
+        (True, 0.0951, 0.01, 3.0),
+        (False, 0.0949, 0.01, 3.0),
+    ],
+)
+def test_a_number_is_undecided_beyond_five_times_its_rounding(expected, value, se, z):
+    assert bool(undecided(0.13, 0.005, Estimate(value, se), z=z)) is expected
+
+
+@pytest.mark.parametrize(
+    ("expected", "value", "z"),
+    [
+        (True, 0.29, 3.0),
+        (False, 0.31, 3.0),
+        (True, -0.29, 3.0),
+        (False, -0.31, 3.0),
+        (True, 0.39, 4.0),
+        (True, 0.71, 3.0),
+        (False, 0.69, 3.0),
+    ],
+)
+def test_a_strict_claim_is_undecided_within_z_standard_errors_of_a_bound(expected, value, z):
+    assert bool(undecided((0.0, 1.0), 0.0, Estimate(value, 0.1), strict=True, z=z)) is expected
 
 
 def test_a_true_number_is_seldom_missed():
@@ -366,7 +399,7 @@ def test_packets_of_one_position_are_one_cluster(rng):
     g = c.grouped(place)
     assert np.allclose(g.square_xy, (error**2).reshape(6, 4, 3).sum(axis=(0, 2)))
     assert g.replications == 6
-    assert np.isclose(g.influence_3d.sum(), c.influence_3d.sum())
+    assert np.allclose(g.influence_3d, c.influence_3d.reshape(4, 3).sum(axis=1), atol=1e-12)
     same = position_sums(
         np.repeat(error[:, ::3], 3, axis=1),
         error,

@@ -61,7 +61,7 @@ def test_rows_are_paired_tests_over_replications(swept):
             index="replication", columns="estimator", values="rmse_3d_m"
         )
         a, b = mine[row["estimator"]], mine["ekf_vmf"]
-        assert row["p"] == pytest.approx(stats.ttest_rel(a, b).pvalue)
+        assert row["p"] == pytest.approx(stats.ttest_rel(a, b).pvalue, rel=1e-6, abs=0)
         assert row["change"] == pytest.approx(100 * (a.mean() / b.mean() - 1))
         assert (row["n"], row["units"], row["by"]) == (60, 60, "replication")
         se, _ = intervals.bootstrap(

@@ -62,6 +62,33 @@ def test_a_changed_table_changes_the_verdict(results, tmp_path):
     assert rows.loc["table1/model1/vmf/share", "verdict"] == "not reproducible"
 
 
+@pytest.mark.parametrize(
+    ("samples", "printed_samples", "verdict"),
+    [
+        (10_000, 100, "reproduced"),  # the print's own error is ten times ours: 0.01
+        (100, 10_000, "not reproducible"),  # a tenth of ours: 0.0001
+        (10_000, 143, "not reproducible"),  # 0.00836, and three of both are 0.02527
+        (10_000, 142, "reproduced"),  # 0.00839 and 0.02535
+        (float("nan"), 100, "not reproducible"),  # of a closed form nobody knows it
+    ],
+)
+def test_a_printed_number_has_the_sampling_error_of_its_own_samples(
+    samples, printed_samples, verdict, tmp_path
+):
+    """Ours is 0.0253 off with a standard error of 0.001."""
+    (tmp_path / "figures.py").write_text(
+        "from aoabench.maths.statistics import Estimate\n"
+        f"def item_values(frame): return {{'a': (Estimate(0.5253, 0.001), float('{samples}'))}}\n"
+    )
+    entry = {"id": "a", "item": "item", "what": "a share", "printed": 0.5, "rounding": 0.0}
+    entry["printed_samples"] = printed_samples
+    items = (study.Item("item", "title", "caption"),)
+    mine = study.Study("mine", tmp_path, "title", "cite", items, (entry,), ())
+    write_frame(study.table_path(tmp_path, mine, items[0]), pd.DataFrame({"x": [1.0]}))
+    row = claims.verdicts([mine], tmp_path).iloc[0]
+    assert (row["ours"], row["verdict"]) == (0.5253, verdict)
+
+
 def test_page_holds_printed_and_our_numbers_and_says_what_is_not_computed(results):
     folder, _ = results
     html = (folder / "report" / "index.html").read_text()

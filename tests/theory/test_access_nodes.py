@@ -2,11 +2,13 @@
 NumPy, errata.
 """
 
+from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from aoabench.errors import BadValue
 from aoabench.estimators.centroid import WeightedCentroid
@@ -147,6 +149,80 @@ def test_the_kernel_equals_numpy(toa, printed, anchors, rng):
     assert np.allclose(fast.position, slow.position, atol=1e-7)
     assert np.allclose(fast.covariance, slow.covariance, atol=1e-9)
     assert np.array_equal(fast.outcome, slow.outcome)
+
+
+def seen(x, s, R):
+    """Range, azimuth and elevation (3,) of a position x (3,) from an access node at s with rotation R."""
+    u, v, w = R @ (x - s)
+    return np.array(
+        [np.sqrt(u * u + v * v + w * w), np.arctan2(v, u), np.arctan2(w, np.hypot(u, v))]
+    )
+
+
+def slopes(x, s, R, step=1e-5):
+    """Derivatives (3, 3) of `seen` by the position, central differences."""
+    columns = [seen(x + e, s, R) - seen(x - e, s, R) for e in step * np.eye(3)]
+    for column in columns:
+        column[1] = wrap(column[1])
+    return np.stack(columns, axis=-1) / (2 * step)
+
+
+def plain_ekf(batch, scenario, i, toa):
+    """Replication i by the textbook's EKF: K = P H^T (H P H^T + R)^-1 over everything measured.
+
+    R holds the measurements' variances and, node by node, H C H^T of the position's own [(18),
+    (20)-(24), errata applied].
+    """
+    F, Q = scenario.motion.matrices(scenario.dt)
+    x, P, known = batch.prior_mean[i], batch.prior_cov, batch.anchors
+    found = []
+    for k in range(batch.azimuth.shape[1]):
+        x, P = F @ x, F @ P @ F.T + Q
+        rows, v, blocks = [], [], []
+        for b in range(batch.azimuth.shape[2]):
+            s, R = known.position[i, b], known.rotation[0, b]
+            y = np.array(
+                [LIGHT * batch.delay[i, k, b], batch.azimuth[i, k, b], batch.elevation[i, k, b]]
+            )
+            sigma = np.array([LIGHT * batch.delay_sigma[i, k, b], batch.azimuth_sigma[i, k, b], batch.elevation_sigma[i, k, b]])  # fmt: skip
+            use = np.isfinite(y) & (toa | (np.arange(3) > 0))
+            H, d = slopes(x[:3], s, R), y - seen(x[:3], s, R)
+            d[1] = wrap(d[1])
+            full = np.diag(sigma**2) + H @ np.diag(known.position_sigma[0, b] ** 2) @ H.T
+            rows.append(H[use])
+            v.append(d[use])
+            blocks.append(full[np.ix_(use, use)])
+        if sum(map(len, v)):
+            H = np.concatenate(rows)
+            H = np.concatenate([H, np.zeros((len(H), len(x) - 3))], axis=1)
+            K = np.linalg.solve(H @ P @ H.T + block_diag(*blocks), H @ P).T
+            x, P = x + K @ np.concatenate(v), P - K @ H @ P
+        found.append((x[:3], P[:3, :3]))
+    return tuple(np.array(a) for a in zip(*found))
+
+
+@pytest.mark.parametrize("engine", ["auto", "numpy"])
+@pytest.mark.parametrize("toa", [True, False])
+def test_the_filter_is_a_plain_ekf_that_knows_of_the_nodes_uncertainty(toa, engine, rng):
+    """Each node with deviations of its own; the same filter told of exact nodes is another one.
+
+    Two nodes have their backs to the walk: azimuths jump between -pi and pi.
+    """
+    position = np.concatenate([rng.uniform(-10, 10, (1, B, 2)), rng.uniform(2, 3, (1, B, 1))], -1)
+    position[0, :2, :2] = [[0.0, 12.0], [12.0, 0.0]]
+    rotation, sigma = upright(rng, B), rng.uniform(0.1, 1.0, (1, B, 3))
+    rotation[:2] = [[[0, 1, 0], [-1, 0, 0], [0, 0, 1]], np.eye(3)]
+    _, batch, scenario = track(rng, Anchors(position, rotation[None], sigma), R=3, T=12)
+    assert np.nanmin(batch.azimuth[..., :2]) < -3 < 3 < np.nanmax(batch.azimuth[..., :2])
+    found = an.AccessNodeEKF(toa, engine=engine)(batch, scenario, None)
+    for i in range(3):
+        mean, covariance = plain_ekf(batch, scenario, i, toa)
+        assert np.allclose(found.position[i], mean, rtol=0, atol=1e-6)
+        assert np.allclose(found.covariance[i], covariance, rtol=1e-5, atol=1e-7)
+    exact = replace(batch, anchors=replace(batch.anchors, position_sigma=None))
+    sure = an.AccessNodeEKF(toa, engine=engine)(exact, scenario, None)
+    trace, less = (np.trace(e.covariance, axis1=-2, axis2=-1) for e in (found, sure))
+    assert np.all(less[:, 1:] < 0.9 * trace[:, 1:])
 
 
 def test_the_filter_follows_the_walk_and_knows_how_well(anchors, rng):

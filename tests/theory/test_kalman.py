@@ -3,6 +3,7 @@ missing data.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -160,8 +161,12 @@ def corrected_algorithm_3(h, x, P, y, r, anchors, lambda_=0.5):
 
 @pytest.mark.parametrize(
     ("make", "slow"),
-    [(EKF, corrected_algorithm_2), (UKF, corrected_algorithm_3)],
-    ids=["ekf", "ukf"],
+    [
+        (EKF, corrected_algorithm_2),
+        (UKF, corrected_algorithm_3),
+        (lambda h: UKF(h, lambda_=2.0), partial(corrected_algorithm_3, lambda_=2.0)),
+    ],
+    ids=["ekf", "ukf", "ukf lambda 2"],
 )
 @pytest.mark.parametrize(
     "h", [AzEl(sigma_deg=5.0), UnitVector(kappa=100.0)], ids=["azel", "unit vector"]
@@ -186,15 +191,17 @@ def test_updates_equal_the_printed_algorithms_with_errata(make, slow, h, rng):
         assert np.allclose(covariance[i], C, atol=1e-9)
 
 
-def test_sigma_points_reproduce_mean_and_covariance(rng):
+@pytest.mark.parametrize("lambda_", [0.0, 0.5, 2.0])
+def test_sigma_points_reproduce_mean_and_covariance(lambda_, rng):
     """Errata N5 to N7: 2 n + 1 points around x_{k|k-1}; as printed, chi_2i overwrites points and
-    the sum stops early.
+    the sum stops early. At lambda = 1/2 all weights are equal, elsewhere the centre has its own.
     """
     A = rng.normal(size=(7, 4, 4))
     P, x = A @ np.swapaxes(A, 1, 2) + np.eye(4), rng.normal(size=(7, 4))
-    points, w = sigma_points(x, cholesky(P), 0.5)
+    points, w = sigma_points(x, cholesky(P), lambda_)
     assert points.shape == (7, 9, 4)
     assert w.sum() == pytest.approx(1)
+    assert w[0] == pytest.approx(lambda_ / (4 + lambda_), rel=1e-12, abs=0)
     assert np.allclose(w @ points, x, atol=1e-12)
     d = points - x[:, None]
     assert np.allclose(np.swapaxes(d, 1, 2) @ (w[:, None] * d), P, atol=1e-11)

@@ -42,8 +42,52 @@ def test_time_bound_by_hand():
     M = 511.5
     assert abs(M * (M + 1) * (2 * M + 1) / 2.684352e8 - 1) < 1e-4
     variance = 3 / (8 * np.pi**2 * 120e3**2 * 1e5 * M * (M + 1) * (2 * M + 1))
-    assert variance == pytest.approx(9.829e-26, rel=1e-3)
-    assert NOISE.delay_sigma(NOISE.noise_dbm + 50.0) == pytest.approx(np.sqrt(variance))
+    assert variance == pytest.approx(9.829e-26, rel=1e-3, abs=0)
+    ours = NOISE.delay_sigma(NOISE.noise_dbm + 50.0)
+    assert ours == pytest.approx(np.sqrt(variance), rel=1e-9, abs=0)
+
+
+def bound_by_fisher_information(signal, at, step, snr):
+    """Standard deviation of the Cramér-Rao bound on the one parameter of a complex signal (N,).
+
+    Its elements arrive with power `snr` in independent circular noise of power 1, so that the
+    information is 2 snr sum |ds / dp|^2; the derivative is a central difference.
+    """
+    slope = (signal(at + step) - signal(at - step)) / (2 * step)
+    return 1 / np.sqrt(2 * snr * np.sum(np.abs(slope) ** 2))
+
+
+@pytest.mark.parametrize("subcarriers", [2, 33, 1024])
+def test_time_bound_is_the_fisher_information_of_the_pilots(subcarriers):
+    """Equal pilots on carriers around the centre, delayed by tau: phases -2 pi k f_sc tau [(4)].
+
+    With each carrier's share of signal and noise the signal to noise ratio is that of the whole.
+    """
+    noise = OfdmCrlb(subcarriers=subcarriers, subcarrier_khz=60.0)
+    k = np.arange(subcarriers) - 0.5 * (subcarriers - 1)
+
+    def pilots(tau):
+        return np.exp(-2j * np.pi * k * 60e3 * tau)
+
+    for snr_db in (-10.0, 50.0):
+        bound = bound_by_fisher_information(pilots, 3e-8, 1e-12, 10 ** (0.1 * snr_db))
+        ours = noise.delay_sigma(noise.noise_dbm + snr_db)
+        assert ours == pytest.approx(bound, rel=1e-6, abs=0)
+
+
+@pytest.mark.parametrize("elements", [2, 7, 10])
+@pytest.mark.parametrize("angle", [-1.2, 0.0, 0.7])
+def test_angle_bound_is_the_fisher_information_of_the_array(elements, angle):
+    """Elements half a wavelength apart, seen at `angle` off broadside: phases pi n sin a [(8)]."""
+    noise = OfdmCrlb(elements=elements)
+    n = np.arange(elements) - 0.5 * (elements - 1)
+
+    def array(a):
+        return np.exp(1j * np.pi * n * np.sin(a))
+
+    bound = bound_by_fisher_information(array, angle, 1e-6, 10**3.0)
+    rss = noise.noise_dbm + noise.array_gain_db + 30.0  # of one element: 30 dB
+    assert noise.angle_sigma(rss, angle) == pytest.approx(bound, rel=1e-6, abs=0)
 
 
 def test_angle_bound_by_hand():

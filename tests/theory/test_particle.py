@@ -150,6 +150,28 @@ def test_equal_weights_keep_every_particle():
         assert np.array_equal(systematic(np.full(1000, 1e-3), turn), np.arange(1000))
 
 
+@pytest.mark.parametrize("engine", ["numpy", "auto"])
+def test_particles_are_resampled_where_the_effective_number_is_below_the_threshold(engine, track):
+    """Just above the first step's share of effective particles the threshold changes the second
+    step, just below it does not. Without resampling next to nothing is left after a lap.
+    """
+    _, batch = track_batch(track, R=1)
+
+    def effective(resample_below):
+        h = ParticleFilter(UnitVector(), 2000, resample_below, engine)
+        return h.trace(batch, track, Streams(1, "square_track", (0,)))["ess"][0]
+
+    never, always = effective(0.0), effective(1.0)
+    assert never[-1] < 20 < 100 < always[-1]
+    share = never[0] / 2000
+    for resample_below in (0.5 * share, 0.999 * share):
+        assert np.array_equal(effective(resample_below)[:2], never[:2])
+    for resample_below in (1.001 * share, 1.0):
+        first, second = effective(resample_below)[:2]
+        assert first == never[0]
+        assert second != never[1]
+
+
 # --- weights --------------------------------------------------------------------------------------
 
 
@@ -157,7 +179,7 @@ def test_weights_neither_overflow_nor_underflow():
     with np.errstate(all="raise", under="ignore"):
         log_w, w, informed = reweigh(np.full(3, -np.log(3)), np.array([-1e9, -1e9 + 1, -2e9]))
     assert informed
-    assert w == pytest.approx([1 / (1 + np.e), np.e / (1 + np.e), 0.0])
+    assert w == pytest.approx([1 / (1 + np.e), np.e / (1 + np.e), 0.0], rel=1e-9, abs=0)
     assert np.exp(log_w[:2]) == pytest.approx(w[:2])
 
 

@@ -144,6 +144,34 @@ def test_maximum_likelihood_is_what_scipy_minimises():
         )  # the last step is shorter than 0.01 m
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_azimuth_that_jumps_by_a_turn_is_corrected(engine, rng):
+    """Three of five anchors see the target at azimuth 0, where [0, 2 pi) jumps: measured just below
+    a turn and expected just above 0, and the other way round. The fix is what SciPy minimises with
+    wrapped residuals.
+    """
+    position = np.array([[[0.0, 0, 0], [5, 1, 3], [-5, -1, 2], [20, -15, 1], [22, 15, 3]]])
+    anchors = Anchors(position, np.tile(np.eye(3), (1, 5, 1, 1)))
+    points = rng.uniform([15, -0.5, 0], [25, 0.5, 1], (40, 3))
+    truth = exact(points, anchors)
+    azimuth, elevation = (
+        a + np.deg2rad(2.0) * rng.standard_normal(a.shape) for a in (truth.azimuth, truth.elevation)
+    )
+    batch = replace(truth, azimuth=wrap(azimuth), elevation=elevation)
+    found = GaussNewton("kcorr", engine=engine, tolerance_m=1e-6)(batch, None, None)
+    assert np.all(found.outcome == Outcome.OK)
+    h, expected = AzEl(1.0), exact(found.position[0], anchors).azimuth
+    jump = np.mod(batch.azimuth, 2 * np.pi) - np.mod(expected, 2 * np.pi)
+    assert (jump > np.pi).sum() > 5
+    assert (jump < -np.pi).sum() > 5
+    y = np.stack([batch.azimuth, batch.elevation], axis=-1)[0].reshape(40, -1)
+    for i in range(40):
+        best = least_squares(
+            lambda x, i=i: h.residual(y[i], h.predict(x[None], anchors)[0]), points[i], xtol=1e-12
+        )
+        assert np.allclose(found.position[0, i], best.x, rtol=0, atol=1e-4)
+
+
 def test_corrected_likelihood_reaches_the_bound_at_small_noise():
     """Mean square error over the CRB, 100 000 fixes; its clustered standard error is 0.6 %, the
     test's bound 2.5 %.

@@ -1,0 +1,62 @@
+"""What tests share beyond fixtures: comparisons that state by which tolerance they compare."""
+
+import sys
+from functools import wraps
+
+import numpy as np
+import pytest
+
+_approx, _REL, _ABS = pytest.approx, 1e-6, 1e-12  # pytest's own defaults
+_RTOL, _ATOL = 1e-5, 1e-8  # NumPy's
+
+
+def approx(expected, rel=None, abs=None, nan_ok=False):
+    """`pytest.approx` that refuses to compare by its default absolute tolerance.
+
+    pytest accepts the larger of `rel` times the expected value and `abs`, and `abs` is 1e-12 unless
+    it is given: `0.0 == pytest.approx(3.1e-13)` is true. This raises ValueError where that default
+    would be the larger one for any expected number, zero included. Such a comparison states either
+    `rel` and `abs=0`, or a bound `abs` on the scale of the quantity. (`abs=0` without `rel` is
+    refused too: pytest then compares exactly.) `conftest.py` puts this in place of `pytest.approx`.
+    """
+    numbers = _magnitudes(expected)
+    if abs is None and np.any(numbers * (_REL if rel is None else rel) < _ABS):
+        raise ValueError(
+            f"approx of {numbers.min():.3g} would accept any error below {_ABS:g}; "
+            "state rel and abs=0, or a bound abs on the quantity's scale"
+        )
+    if abs == 0 and rel is None:
+        raise ValueError("approx with abs=0 and no rel compares exactly; state rel, or use ==")
+    return _approx(expected, rel=rel, abs=abs, nan_ok=nan_ok)
+
+
+def _magnitudes(expected):
+    """Sizes (N,) of the finite numbers in a number, a sequence, an array or a mapping's values."""
+    values = list(expected.values()) if isinstance(expected, dict) else expected
+    try:
+        sizes = np.abs(np.ravel(np.asarray(values, dtype=float)))
+    except (TypeError, ValueError):  # a text or a date: no tolerance applies
+        return np.empty(0)
+    return sizes[np.isfinite(sizes)]
+
+
+def stated(close):
+    """`np.allclose` or `np.isclose` that refuses, in tests, to compare by its default `atol`.
+
+    That is 1e-8 and is added to `rtol` times the expected size. This raises ValueError where `atol`
+    is not given and the default would be the larger one for every expected number: the comparison
+    then states `atol`, 0 or a bound on the scale of the quantity. Calls from elsewhere pass through.
+    """
+
+    @wraps(close)
+    def checked(a, b, rtol=_RTOL, atol=None, equal_nan=False):
+        if atol is None and sys._getframe(1).f_globals.get("__name__", "").startswith("tests."):
+            sizes = _magnitudes(b)
+            if len(sizes) and rtol * sizes.max() < _ATOL:
+                raise ValueError(
+                    f"{close.__name__} of at most {sizes.max():.3g} would accept any error below "
+                    f"{_ATOL:g}; state atol"
+                )
+        return close(a, b, rtol, _ATOL if atol is None else atol, equal_nan)
+
+    return checked
