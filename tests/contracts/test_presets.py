@@ -38,6 +38,7 @@ def test_every_scenario_with_every_noise(scenario, noise):
     words += (
         ["scenario.dt=2"] if scenario.startswith("indoor_map") else []
     )  # a thousand fields take their time
+    words += ["scenario.steps=60"] if scenario == "indoor_map_model" else []
     cell = compose_cells([f"scenario={scenario}", f"noise={noise}", *words])[0]
     rows = next(iter(run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, 3).values()))[
         "rows"
