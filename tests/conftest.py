@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from pickle import dumps, loads
+from typing import Any
 
+import hydra
 import numpy as np
 import pytest
 
@@ -30,3 +34,27 @@ def track() -> SquareTrack:
         [[1, 0, 0], [-1, 0, 0], [-1, 0, 0], [1, 0, 0]],
     )
     return SquareTrack("square_track", layout, RandomWalk())
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compose_once() -> Iterator[None]:
+    """Hydra composes the same overrides of the shipped configs once per session, not 0.1 s each time.
+
+    Each call returns a copy of its own. A search path with a user's folder, whose files tests
+    change, is composed anew.
+    """
+    compose, done = hydra.compose, {}
+
+    def composed(config_name: str, overrides: list[str] | None = None, **options: Any) -> Any:
+        loader = hydra.core.global_hydra.GlobalHydra.instance().config_loader()
+        path = [(entry.provider, entry.path) for entry in loader.get_search_path().get_path()]
+        if "command-line" in dict(path):
+            return compose(config_name, overrides, **options)
+        key = (str(path), config_name, tuple(overrides or ()), tuple(sorted(options.items())))
+        if key not in done:
+            done[key] = dumps(compose(config_name, overrides, **options))
+        return loads(done[key])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hydra, "compose", composed)
+        yield

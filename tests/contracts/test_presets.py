@@ -38,6 +38,8 @@ def test_every_scenario_with_every_noise(scenario, noise):
     place = cell.scenario
     if scenario.startswith("indoor_map"):
         place = replace(place, dt=2)  # a thousand fields take their time
+    if scenario == "indoor_map_model":
+        place = replace(place, steps=60)
     block = run_block(place, cell.noise, cell.estimators, 1, 0, 3)
     assert all(np.all(np.isfinite(kinds["rows"]["rmse_3d_m"])) for kinds in block.values())
     truth, batch = Draws(place, cell.noise, 1).tile(0, 2)
