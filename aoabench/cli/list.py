@@ -2,41 +2,104 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
 
-from aoabench.cli.common import Choice, Command, json_option, print_json
+from aoabench.cli.common import Command, json_option, print_json
 from aoabench.config.presets import GROUPS, options
 from aoabench.errors import UserError
 
 
+def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    known = [*GROUPS, *(name for group in GROUPS for name in options(group))]
+    return [name for name in known if name.startswith(incomplete)]
+
+
 @click.command("list", cls=Command)
 @click.argument(
-    "group", required=False, type=Choice(GROUPS), metavar="[GROUP]", help="Only this group."
+    "name",
+    required=False,
+    metavar="[NAME]",
+    shell_complete=_names,
+    help="A config group, or a preset, whose parameters are shown.",
+)
+@click.option(
+    "--fits",
+    metavar="SCENARIO",
+    help="List the filters and estimators that run in this scenario, and with which noises.",
 )
 @click.option(
     "--config-dir", type=click.Path(), help="Also list the presets in this folder of your own."
 )
 @json_option
-def list_presets(group: str | None, config_dir: str | None, as_json: bool) -> None:
+def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_json: bool) -> None:
     """List the presets, with a line about each.
 
     \b
     Examples:
       aoabench list
       aoabench list filter
-      aoabench list --json
+      aoabench list noise            (a group)
+      aoabench list ofdm_crlb        (a preset: its parameters)
+      aoabench list --fits ble_room
 
-    With --json: `groups`, an object with an object {preset: description} for each group.
+    With --json: `groups`, an object with an object {preset: description} for each group; of a
+    preset `parameters`, each with key, value, unit and help; with --fits `fits`, an object
+    {estimator: [noises]} for each group.
     """
     if config_dir and not Path(config_dir).is_dir():
         raise UserError(f"--config-dir={config_dir}: no such folder")
-    found = {name: options(name, config_dir) for name in ([group] if group else GROUPS)}
+    if fits is not None:
+        if name is not None:
+            raise UserError(f"{name!r} is not allowed with --fits; allowed: one of the two")
+        _print_fits(fits, config_dir, as_json)
+    elif name is None or name in GROUPS:
+        _print_groups([name] if name else list(GROUPS), config_dir, as_json)
+    else:
+        _print_parameters(name, config_dir, as_json)
+
+
+def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> None:
+    found = {group: options(group, config_dir) for group in groups}
     if as_json:
         print_json({"groups": found})
         return
-    for name, presets in found.items():
-        print(f"{name}:" if presets else f"{name}: (none yet)")
+    for group, presets in found.items():
+        print(f"{group}:" if presets else f"{group}: (none yet)")
         for preset, text in presets.items():
             print(f"  {preset:24s} {text}")
+
+
+def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
+    from aoabench.config import catalogue
+
+    found = catalogue.fitting(scenario, config_dir)
+    if as_json:
+        print_json({"fits": found})
+        return
+    for group, names in found.items():
+        print(f"{group}:" if names else f"{group}: none")
+        for name, noises in names.items():
+            print(f"  {name:24s} noise={','.join(noises)}")
+
+
+def _print_parameters(name: str, config_dir: str | None, as_json: bool) -> None:
+    from aoabench.config import catalogue
+
+    group = catalogue.group_of(name, config_dir)
+    if group in ("runner", "experiment"):
+        raise UserError(
+            f"{name!r} is no plug-in; allowed: aoabench run {group}={name} --cfg job shows it"
+        )
+    found = catalogue.parameters(name, config_dir)
+    if as_json:
+        print_json({"group": group, "preset": name, "parameters": [p._asdict() for p in found]})
+        return
+    print(f"{group}={name}: {options(group, config_dir)[name]}")
+    for one in found:
+        value = json.dumps(one.value)
+        short = value if len(value) <= 24 else f"{value[:20]} ..."
+        text = f"{one.help} [{one.unit}]" if one.unit else one.help
+        print(f"  {one.key:44s} {short:26s} {text}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,9 @@ from aoabench.config.build import build
 from aoabench.config.guard import refuse_foreign_hydra, refuse_hydra
 from aoabench.config.messages import explained, first_line
 from aoabench.config.overrides import Setting, jobs, read
-from aoabench.config.plugins import parse_plugins
-from aoabench.config.presets import options
-from aoabench.errors import UserError, shorten
+from aoabench.config.plugins import parse_plugins, spelled_out
+from aoabench.config.presets import LISTS, options
+from aoabench.errors import UserError, did_you_mean, shorten
 from aoabench.maths.digest import flatten
 from aoabench.resources import shipped
 
@@ -46,10 +47,11 @@ def compose_cells(
         swept = [*_own_sweep(settings), *settings] if sweep else settings
         keys = tuple(dict.fromkeys(s.key for s in swept if not s.is_deletion))
         typed = [s.key for s in settings]
-        cells = []
-        for job in jobs(swept):
-            cfg = compose("config", overrides=job, return_hydra_config=True)
-            cells.append(_cell(cfg, keys, typed, allowed, extra, config_dir))
+        job = _Job(keys, typed, allowed, extra, config_dir)
+        cells = [
+            job.cell(compose("config", overrides=lines, return_hydra_config=True))
+            for lines in jobs(swept)
+        ]
     if not cells:
         raise UserError(
             f"{' '.join(shorten(s.word) for s in settings)}: the sweep is empty; "
@@ -106,7 +108,8 @@ def show(
     settings = _checked(overrides, sweep)
     with hydra_initialised(config_dir), explained(settings, config_dir):
         cfg = compose("config", overrides=[s.line for s in settings if not s.is_sweep])
-        part = OmegaConf.select(cfg, package) if package else cfg
+        whole = OmegaConf.create(with_defaults(cfg, parse_plugins(settings)))
+        part = OmegaConf.select(whole, package) if package else whole
         if part is None:
             raise UserError(f"--package={package}: no such part of the config")
         return (
@@ -114,56 +117,103 @@ def show(
         )
 
 
-def _cell(
-    cfg: Any,
-    keys: Sequence[str],
-    typed: Sequence[str],
-    plugins: Sequence[str],
-    extra: Mapping[str, Any] | None,
-    config_dir: str | None,
-) -> Cell:
-    """The cell of one composed job."""
+def with_defaults(cfg: Any, plugins: Sequence[str]) -> dict[str, Any]:
+    """A composed config as plain nodes, interpolations as they are, Hydra's own node left out, the
+    defaults of the plug-ins' classes filled in.
+    """
+    from omegaconf import OmegaConf
+
+    node = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
+    plain: Any = OmegaConf.to_container(node, resolve=False)
+    for group in ("scenario", "noise"):
+        plain[group] = spelled_out(plain.get(group), plugins)
+    for group in LISTS:
+        nodes = plain.get(group)
+        if isinstance(nodes, dict):
+            plain[group] = {name: spelled_out(one, plugins) for name, one in nodes.items()}
+    return dict(plain)
+
+
+def resolved(raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain nodes with their interpolations resolved; UserError for one that cannot be."""
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    node = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
     try:
-        plain: Any = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+        plain: Any = OmegaConf.to_container(
+            OmegaConf.create(dict(raw)), resolve=True, throw_on_missing=True
+        )
     except OmegaConfBaseException as error:
         key = getattr(error, "full_key", None)
         raise UserError(f"{key}: {first_line(error)}" if key else first_line(error)) from None
-    raw: Any = OmegaConf.to_container(node, resolve=False)
-    choices = dict(cfg.hydra.runtime.choices)
-    changed = _changed(raw, plain, config_dir)
-    return build(
-        plain, choices, keys=keys, typed=typed, plugins=plugins, changed=changed, extra=extra
-    )
+    return dict(plain)
 
 
-def _changed(
-    raw: Mapping[str, Any], plain: Mapping[str, Any], config_dir: str | None
-) -> dict[str, Any]:
-    """Estimators' parameters, dotted, whose values differ from their presets' own."""
-    from hydra import compose
-    from omegaconf import OmegaConf
+@dataclass
+class _Job:
+    """What all jobs of a sweep have in common; `keys` are those that the jobs set, `typed` those of
+    the user's own command line.
+    """
 
-    given = {
-        group: raw[group] for group in ("filter", "estimator") if isinstance(raw.get(group), dict)
-    }
-    presets = {
-        group: [n for n in nodes if n in options(group, config_dir)]
-        for group, nodes in given.items()
-    }
-    cfg = compose(
-        "config", overrides=[f"{group}=[{','.join(names)}]" for group, names in presets.items()]
-    )
-    default = dict(flatten(OmegaConf.to_container(cfg, resolve=False)))
-    resolved = dict(flatten(plain))
-    return {
-        key: resolved.get(key, value)
-        for key, value in flatten(given)
-        if key and (key not in default or default[key] != value)
-    }
+    keys: Sequence[str]
+    typed: Sequence[str]
+    plugins: Sequence[str]
+    extra: Mapping[str, Any] | None
+    config_dir: str | None
+    presets: dict[tuple[str, ...], dict[str, Any]] = field(default_factory=dict)
+
+    def cell(self, cfg: Any) -> Cell:
+        """The cell of one composed job."""
+        raw = with_defaults(cfg, self.plugins)
+        self._check_selected(raw, dict(cfg.hydra.runtime.choices).get("experiment"))
+        plain = resolved(raw)
+        return build(
+            plain,
+            dict(cfg.hydra.runtime.choices),
+            keys=self.keys,
+            typed=self.typed,
+            plugins=self.plugins,
+            changed=self._changed(raw, plain),
+            extra=self.extra,
+        )
+
+    def _check_selected(self, raw: Mapping[str, Any], experiment: str | None) -> None:
+        """Raise UserError for a parameter of a filter or estimator that is not selected."""
+        for key in self.keys:
+            group, _, rest = key.partition(".")
+            name = rest.partition(".")[0]
+            node = (raw.get(group) or {}).get(name) if group in LISTS and rest else None
+            if not isinstance(node, dict) or "_target_" in node:
+                continue
+            known = options(group, self.config_dir)
+            if name not in known:
+                raise UserError(f"{key}: unknown {group} {name!r}{did_you_mean(name, known)}")
+            if experiment is None or key in self.typed:
+                raise UserError(f"{key}: {name} is not selected; allowed: with {group}=[{name}]")
+
+    def _changed(self, raw: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+        """Estimators' parameters, dotted, whose values differ from their presets' own."""
+        given = {group: raw[group] for group in LISTS if isinstance(raw.get(group), dict)}
+        default = self._defaults(given)
+        resolved = dict(flatten(plain))
+        return {
+            key: resolved.get(key, value)
+            for key, value in flatten(given)
+            if key and (key not in default or default[key] != value)
+        }
+
+    def _defaults(self, given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        """The presets of these names as they are without any override, by dotted key."""
+        from hydra import compose
+
+        chosen = []
+        for group, nodes in given.items():
+            names = [name for name in nodes if name in options(group, self.config_dir)]
+            chosen.append(f"{group}=[{','.join(names)}]")
+        if tuple(chosen) not in self.presets:
+            whole = with_defaults(compose("config", overrides=chosen), self.plugins)
+            self.presets[tuple(chosen)] = dict(flatten(whole))
+        return self.presets[tuple(chosen)]
 
 
 @contextmanager

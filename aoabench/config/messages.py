@@ -54,7 +54,7 @@ def _explain(error: Exception, settings: Sequence[Setting], config_dir: str | No
             return f"{word}: {first_line(error.__cause__)}"
         if f"'{key}'" in text or f"full_key: {key}" in text:
             chosen = [s.line.partition(",")[0] for s in settings if s.key == "scenario"]
-            return f"{word}: {_about_key(key, chosen, config_dir)}"
+            return f"{word}: {_about_key(key, chosen)}"
         if f"{key} appears more than once" in text:
             return f"{word}: one {key} is chosen already; allowed: {word.lstrip('+')}"
     return _not_composed(error, settings)
@@ -69,33 +69,22 @@ def _not_composed(error: Exception, settings: Sequence[Setting]) -> str:
     return f"{words}: cannot be composed: {first_line(error)}"
 
 
-def _about_key(key: str, chosen: Sequence[str], config_dir: str | None) -> str:
+def _about_key(key: str, chosen: Sequence[str]) -> str:
     """Why a key given on the command line does not exist; `chosen` are the overrides that name a
     scenario.
     """
-    head, _, rest = key.partition(".")
-    if head in ("filter", "estimator") and rest:
-        name = rest.partition(".")[0]
-        if name in options(head, config_dir):
-            hint = did_you_mean(key, [k for k in known_keys(name, head) if k != key])
-            return f"no such key, or {head} {name!r} is not selected: {head}=[{name}]{hint}"
-        return (
-            f"unknown {head} {shorten(repr(name))}{did_you_mean(name, options(head, config_dir))}"
-        )
     hint = did_you_mean(key, [k for k in known_keys(chosen=chosen) if k != key])
     return f"unknown key {shorten(repr(key))}{hint or '; `aoabench run --cfg job` shows the keys'}"
 
 
-def known_keys(
-    preset: str | None = None, group: str = "filter", chosen: Sequence[str] = ()
-) -> list[str]:
-    """Dotted keys of the default config, with one preset and what is `chosen`; call it where Hydra
-    is initialised.
+def known_keys(chosen: Sequence[str] = ()) -> list[str]:
+    """Dotted keys of the default config, with what is `chosen`; call it where Hydra is
+    initialised.
     """
     from hydra import compose
     from omegaconf import OmegaConf
 
-    cfg = compose("config", overrides=[*chosen, *([f"{group}=[{preset}]"] if preset else [])])
+    cfg = compose("config", overrides=list(chosen))
     keys = [key for key, _ in flatten(OmegaConf.to_container(cfg, resolve=False))]
     return [*keys, *GROUPS]
 

@@ -25,6 +25,7 @@ _MOST_VALUES = 100_000  # of one swept key
 _KEY = re.compile(r"[A-Za-z_$][\w$-]*([./][\w$-]+)*(@[\w$.-]*)?", re.ASCII)
 # a value between commas: in quotes, or up to the next comma
 _PIECE = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')\s*(?=,|$)|[^,]*""", re.DOTALL)
+_OF_A_PLUG_IN = re.compile(r"(scenario|noise|filter|estimator)\.")
 _UNREADABLE = object()
 _BRACKETS = {")": "(", "]": "[", "}": "{"}
 _BARE = re.compile(r"[A-Za-z0-9_ \t/\\+.$%*@?|:,()\[\]{}'\"-]")  # what Hydra reads without quotes
@@ -103,6 +104,8 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
     line = typed
     if name in PATH_KEYS and value:
         line = f"{head}={_file_names(parser, value, sweep)}"
+    if head == name and _OF_A_PLUG_IN.match(name):
+        line = f"++{line}"  # the class knows which parameters it has, not the preset
     try:
         parsed = parser.parse_rule(line, "override")
     except (HydraException, RecursionError) as error:

@@ -15,6 +15,7 @@ from typing import Any
 
 from aoabench.config.overrides import Setting
 from aoabench.errors import BadValue, UserError, did_you_mean
+from aoabench.maths.digest import default_of, no_default
 
 PLUG_INS = tuple(
     f"aoabench.{room}" for room in ("scenarios", "noise", "models", "filters", "estimators")
@@ -129,3 +130,34 @@ def import_plugins(plugins: Sequence[str]) -> None:
             raise UserError(
                 f"plugins=[{name}]: cannot be imported: {type(error).__name__}: {error}"
             ) from None
+
+
+def spelled_out(node: Any, plugins: Sequence[str] = ()) -> Any:
+    """A plain YAML node with the defaults of its classes filled in, so that a thin preset shows and
+    stores every parameter; a `_target_` that cannot be resolved is left as it is.
+    """
+    if isinstance(node, list):
+        return [spelled_out(item, plugins) for item in node]
+    if not isinstance(node, dict):
+        return node
+    given = {key: spelled_out(value, plugins) for key, value in node.items()}
+    try:
+        cls = resolve(node.get("_target_"), "", plugins)
+    except UserError:
+        return given
+    whole = {"_target_": given.pop("_target_")}
+    for f in dataclasses.fields(cls):
+        if f.init and f.name in given:
+            whole[f.name] = given.pop(f.name)
+        elif f.init and not no_default(f):
+            whole[f.name] = _as_node(default_of(f))
+    return whole | given
+
+
+def _as_node(value: Any) -> Any:
+    """A default as a plain YAML node."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        name = f"{type(value).__module__}.{type(value).__qualname__}"
+        inner = {f.name: _as_node(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {"_target_": name, **inner}
+    return [_as_node(item) for item in value] if isinstance(value, list | tuple) else value

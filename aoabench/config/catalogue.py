@@ -1,0 +1,84 @@
+"""What the presets are: their parameters, and which estimators fit a scenario."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from aoabench.config.adopt import as_estimator, as_noise, as_scenario
+from aoabench.config.compose import hydra_initialised, resolved, with_defaults
+from aoabench.config.plugins import construct, resolve
+from aoabench.config.presets import GROUPS, LISTS, options
+from aoabench.errors import UserError, did_you_mean
+
+
+class Parameter(NamedTuple):
+    """A parameter of a preset: its dotted key, its value there, its unit and its meaning."""
+
+    key: str
+    value: Any
+    unit: str
+    help: str
+
+
+def group_of(name: str, config_dir: str | None = None) -> str:
+    """The config group that a preset belongs to; UserError for an unknown name."""
+    found = {preset: group for group in GROUPS for preset in options(group, config_dir)}
+    if name not in found:
+        known = [*GROUPS, *found]
+        hint = did_you_mean(name, known) or f"; allowed: {', '.join(GROUPS)}, or a preset"
+        raise UserError(f"{name!r}: no such group or preset{hint}")
+    return found[name]
+
+
+def parameters(name: str, config_dir: str | None = None) -> list[Parameter]:
+    """The parameters of a preset of a scenario, noise, filter or estimator, nested ones too."""
+    from hydra import compose
+
+    group = group_of(name, config_dir)
+    with hydra_initialised(config_dir):
+        chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
+        whole = with_defaults(compose("config", overrides=[chosen]), ())
+    node = whole[group][name] if group in LISTS else whole[group]
+    return list(_walk(node, f"{group}.{name}" if group in LISTS else group))
+
+
+def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
+    cls = resolve(node["_target_"], path) if "_target_" in node else None
+    known = {f.name: f for f in dataclasses.fields(cls)} if cls else {}
+    for key, value in node.items():
+        if isinstance(value, dict):
+            yield from _walk(value, f"{path}.{key}")
+        elif key != "_target_":
+            meta = known[key].metadata.get("param") if key in known else None
+            unit, text = (meta.unit, meta.help) if meta else ("", "")
+            yield Parameter(f"{path}.{key}", value, unit, text)
+
+
+def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str, list[str]]]:
+    """The filters and estimators that run in a scenario: by group and name the noises with which
+    they do. UserError for a scenario that cannot be built.
+    """
+    from hydra import compose
+
+    known = options("scenario", config_dir)
+    if scenario not in known:
+        hint = did_you_mean(scenario, known) or f"; allowed: {', '.join(known)}"
+        raise UserError(f"--fits={scenario}: unknown scenario{hint}")
+    found: dict[str, dict[str, list[str]]] = {group: {} for group in LISTS}
+    every = [f"{group}=[{','.join(options(group, config_dir))}]" for group in LISTS]
+    for noise in options("noise", config_dir):
+        with hydra_initialised(config_dir):
+            cfg = compose("config", overrides=[f"scenario={scenario}", f"noise={noise}", *every])
+            plain = resolved(with_defaults(cfg, ()))
+        place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
+        errors = as_noise(construct(plain["noise"], "noise"), "noise")
+        for group in LISTS:
+            for name, node in plain[group].items():
+                try:
+                    as_estimator(construct(node, name), name).check(place, errors)
+                except UserError:
+                    continue
+                found[group].setdefault(name, []).append(noise)
+    return found
