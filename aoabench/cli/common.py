@@ -22,20 +22,24 @@ SCHEMA = 1  # of the objects that --json prints
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
 
+def _note_quiet(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+    ctx.meta[_QUIET] = value or ctx.meta.get(_QUIET, False)  # before the command or after it
+
+
+QUIET: dict[str, Any] = {
+    "is_flag": True,
+    "expose_value": False,
+    "callback": _note_quiet,
+    "help": "Print no progress and no remarks.",
+}
+
+
 class Command(click.Command):
     """A subcommand with -q, which keeps everything but errors off standard error."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.params.append(
-            click.Option(
-                ["-q", "--quiet"],
-                is_flag=True,
-                expose_value=False,
-                callback=_note_quiet,
-                help="Print no progress and no remarks.",
-            )
-        )
+        self.params.append(click.Option(["-q", "--quiet"], **QUIET))
 
     def invoke(self, ctx: click.Context) -> Any:
         if not ctx.meta.get(_QUIET):
@@ -45,10 +49,6 @@ class Command(click.Command):
             contextlib.redirect_stderr(nowhere),
         ):
             return super().invoke(ctx)
-
-
-def _note_quiet(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
-    ctx.meta[_QUIET] = value
 
 
 def say(line: str = "") -> None:

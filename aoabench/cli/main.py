@@ -18,12 +18,14 @@ import click
 
 from aoabench import __version__
 from aoabench.cli.collect import collect
+from aoabench.cli.common import QUIET
 from aoabench.cli.compare import compare
 from aoabench.cli.list import list_presets
 from aoabench.cli.replay import replay
 from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
+from aoabench.config.presets import GROUPS
 from aoabench.errors import RunError, UserError, did_you_mean, shorten
 
 _STOPPED = {"SIGHUP": "hung up", "SIGINT": "interrupted", "SIGTERM": "terminated"}
@@ -51,6 +53,7 @@ class _Passed(Exception):
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+@click.option("-q", "--quiet", **QUIET)
 @click.version_option(__version__, "-V", "--version", message="aoabench %(version)s")
 @click.pass_context
 def cli(ctx: click.Context) -> None:
@@ -127,10 +130,9 @@ def _usage(error: click.UsageError, arguments: Sequence[str]) -> str:
     command = next((f" {word}" for word in arguments if word in cli.commands), "")
     path = ctx.command_path if ctx else f"aoabench{command}"
     where = f"{name}: " if (name := path.partition(" ")[2]) else ""
-    text = error.format_message().rstrip(".")
+    text = error.format_message().rstrip(".").replace("Got unexpected extra", "unexpected")
     if isinstance(error, click.NoSuchOption) and ctx:
-        known = [flag for parameter in ctx.command.get_params(ctx) for flag in parameter.opts]
-        text = f"unknown option {error.option_name}{did_you_mean(error.option_name, known)}"
+        text = f"unknown option {error.option_name}{_about_option(error.option_name, ctx)}"
     elif isinstance(error, click.exceptions.NoSuchCommand):
         known = [name for name, command in cli.commands.items() if not command.hidden]
         hint = did_you_mean(error.command_name, known) or f"; allowed: {', '.join(known)}"
@@ -143,6 +145,15 @@ def _usage(error: click.UsageError, arguments: Sequence[str]) -> str:
             text = f"{_named(error.param, ctx)} is missing: {_help_of(error.param)}"
     mark = "" if text.endswith("?") else ";"
     return f"{where}{shorten(text, 1000)}{mark} see `{path} --help`"
+
+
+def _about_option(flag: str, ctx: click.Context) -> str:
+    """A hint about an unknown option."""
+    if flag.lstrip("-") in (*GROUPS, "reps", "seed"):
+        return f"; did you mean '{flag.lstrip('-')}=...'?"
+    if ctx.command is cli and any(flag in p.opts for c in cli.commands.values() for p in c.params):
+        return " here; allowed: after the command"
+    return did_you_mean(flag, [f for p in ctx.command.get_params(ctx) for f in p.opts])
 
 
 def _named(parameter: click.Parameter, ctx: click.Context) -> str:

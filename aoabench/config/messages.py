@@ -95,6 +95,7 @@ def first_line(error: BaseException) -> str:
 
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     text = lines[0] if lines else "no reason is given"
+    text = text.replace("DictConfig", "a mapping").replace("ListConfig", "a list")
     if isinstance(error, GrammarParseError):
         return "an interpolation ${...} in it cannot be read"
     return shorten(

@@ -99,7 +99,7 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
     if not _KEY.fullmatch(name):
         raise UserError(
             f"{shorten(word)} cannot be read: {shorten(name)!r} is not a key; allowed: KEY=VALUE "
-            "with a key of letters, digits, _ and dots"
+            "without spaces, with a key of letters, digits, _ and dots"
         )
     line = typed
     if name in PATH_KEYS and value:

@@ -146,10 +146,8 @@ def draw(
         absent = [item.name for item in s.items if not study.table_path(results, s, item).exists()]
         for item in s.items:
             if only is None or item.name in only:
-                problem = (
-                    reading.draw(s, item, results, tuple(formats))
-                    or reading.read(s, item, results).problem
-                )
+                fault = reading.draw(s, item, results, tuple(formats))
+                problem = fault or reading.read(s, item, results).problem
                 problems[name, item.name] = problem
                 if problem:
                     echo(

@@ -9,6 +9,7 @@ def test_text_quiet_and_json(call, small_run):
     assert (status, err) == (0, "")
     assert out.startswith("2 cells: ")
     assert call("collect", small_run, "-q") == (0, "", "")
+    assert call("-q", "collect", small_run) == (0, "", ""), "before the command, too"
     (small_run / "tidy.parquet").unlink()
     status, out, err = call("collect", small_run, "--json")
     assert (status, err) == (0, "")

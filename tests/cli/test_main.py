@@ -49,6 +49,8 @@ def test_version(flag, call):
     (["frobnicate"], "unknown command 'frobnicate'; allowed: run, list, compare, collect, replay, "
      "reproduce, report; see `aoabench --help`"),
     (["--hlep"], "unknown option --hlep; did you mean '--help'? see `aoabench --help`"),
+    (["--json", "list"], "unknown option --json here; allowed: after the command; see `aoabench --help`"),
+    (["run", "--noise=vmf"], "run: unknown option --noise; did you mean 'noise=...'? see `aoabench run --help`"),
     (["run", "--wrst", "3"], "run: unknown option --wrst; did you mean '--worst'? see `aoabench run --help`"),
     (["run", "--worst"], "run: --worst needs a value; see `aoabench run --help`"),
     (["run", "-c", "jobs"], "run: --cfg: 'jobs' is not allowed; did you mean 'job'? see `aoabench run --help`"),
@@ -57,7 +59,7 @@ def test_version(flag, call):
      "replay: --estimator is missing: name of the estimator; see `aoabench replay --help`"),
     (["replay", "x", "--replication", "1.5"],
      "replay: --replication: '1.5' is not a valid integer; see `aoabench replay --help`"),
-    (["collect", "a", "b"], "collect: Got unexpected extra argument (b); see `aoabench collect --help`"),
+    (["collect", "a", "b"], "collect: unexpected argument (b); see `aoabench collect --help`"),
     (["list", "filtre"], "list: GROUP: 'filtre' is not allowed; did you mean 'filter'? see `aoabench list --help`"),
 ])  # fmt: skip
 def test_a_mistake_in_the_words_is_one_line(words, line, call):

@@ -197,6 +197,7 @@ def test_a_deleted_key_in_a_sweep():
     ("noise.sigma_deg='${x'", r"an interpolation \$\{...\} in it cannot be read"),
     ("noise.sigma_deg=" + "x" * 5000, "x ... x"),
     ("noise=" + "x" * 5000, "x ... x"),
+    ("scenario.anchors=[1]", "Cannot merge a mapping with a list"),
     ("x" * 5000 + "=3", "x ... x"),
     ("noise." + "x" * 5000 + "=3", "x ... x"),
 ])  # fmt: skip
@@ -208,4 +209,5 @@ def test_what_cannot_be_composed_names_the_word_alone(word, says):
     assert "ekf_vmf" not in text
     assert len(text) < 900
     assert "Exception" not in text
+    assert "Config" not in text
     assert "Errno" not in text
