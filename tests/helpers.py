@@ -6,6 +6,8 @@ from functools import wraps
 import numpy as np
 import pytest
 
+from aoabench.roles import Scenario
+
 _approx, _REL, _ABS = pytest.approx, 1e-6, 1e-12  # pytest's own defaults
 _RTOL, _ATOL = 1e-5, 1e-8  # NumPy's
 
@@ -60,3 +62,25 @@ def stated(close):
         return close(a, b, rtol, _ATOL if atol is None else atol, equal_nan)
 
     return checked
+
+
+class Place(Scenario):
+    """A scenario of nothing but anchors, and whatever else a test needs to say."""
+
+    name = "place"
+
+    def __init__(self, anchors, height_m=None, bounds_m=None, motion=None, dt=1.0):
+        self._anchors, self._height, self._bounds = anchors, height_m, bounds_m
+        self.motion, self.dt = motion, dt
+
+    @property
+    def true_anchors(self):
+        return self._anchors
+
+    @property
+    def known_height_m(self):
+        return self._height
+
+    @property
+    def bounds_m(self):
+        return self._bounds

@@ -10,6 +10,7 @@ from aoabench.engine.tiles import Draws, estimate_tile
 from aoabench.filters.particle import ParticleFilter
 from aoabench.kernels import loading
 from aoabench.models.unit_vector import UnitVector
+from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
@@ -52,12 +53,12 @@ def test_counter_based_draws_have_their_known_keys(seed, scenario, purpose, key)
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(Scenario):
     """A scenario whose truth and prior are the numbers that it draws."""
 
-    same_truth: bool = False
-    name, dt, motion = "square_track", 1.0, None
-    known_anchors = Anchors(np.zeros((1, 5, 3)), np.tile(np.eye(3), (1, 5, 1, 1)))
+    shares_positions: bool = False
+    name = "square_track"
+    true_anchors = Anchors(np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)))
 
     def truth(self, rng):
         return np.tile(rng.random(5)[:, None], 3)
@@ -66,31 +67,31 @@ class Place:
         return rng.random(5), np.eye(5)
 
 
-class Noise:
+class Drawn(Noise):
     """A noise whose azimuths and anchors are the numbers that it draws."""
 
     def sample(self, rng, scenario, truth):
         return Measurements(rng.random(5)[:, None], np.zeros((5, 1)))
 
     def known_anchors(self, rng, scenario):
-        position = np.tile(rng.random(5)[None, :, None], 3)
-        return Anchors(position, scenario.known_anchors.rotation)
+        position = np.tile(rng.random(5)[:, None], 3)
+        return Anchors(position, scenario.true_anchors.rotation)
 
 
 def draws(**options):
-    return Draws(Place(**options), Noise(), 1)
+    return Draws(Place(**options), Drawn(), 1)
 
 
 def test_each_draw_comes_from_the_stream_of_its_role():
     truth, batch = draws().tile(7, 1)
     assert truth[0, :, 0].tolist() == KNOWN["truth"]
     assert batch.azimuth[0, :, 0].tolist() == KNOWN["measurement"]
-    assert batch.anchors.position[0, :, 0].tolist() == KNOWN["anchors"]
+    assert batch.anchors.position[0, 0, :, 0].tolist() == KNOWN["anchors"]
     assert batch.prior_mean[0].tolist() == KNOWN["prior"]
 
 
 def test_a_shared_truth_is_that_of_replication_0_and_all_else_is_drawn_anew():
-    truth, batch = draws(same_truth=True).tile(7, 2)
+    truth, batch = draws(shares_positions=True).tile(7, 2)
     first, _ = draws().tile(0, 1)
     assert np.array_equal(truth, np.concatenate([first, first]))
     assert batch.azimuth[0, :, 0].tolist() == KNOWN["measurement"]
@@ -98,7 +99,7 @@ def test_a_shared_truth_is_that_of_replication_0_and_all_else_is_drawn_anew():
     assert not np.any(batch.azimuth[0] == batch.azimuth[1])
 
 
-class Drawing:
+class Drawing(Estimator):
     """An estimator whose positions are its own random numbers."""
 
     tile = 4
@@ -118,12 +119,12 @@ def test_an_estimator_draws_from_its_own_stream():
 def test_a_particle_filter_moves_its_particles_by_its_own_stream(engine, track):
     """Nothing is measured, so that the mean is that of the particles that were drawn."""
     N, nothing = 1024, np.full((1, 1, 4), np.nan)
-    anchors, mean = track.known_anchors, np.array([[0.5, -1.0, 2.0]])
+    anchors, mean = track.true_anchors, np.array([[0.5, -1.0, 2.0]])
     batch = Batch(nothing, nothing, anchors, prior_mean=mean, prior_cov=np.diag([1.0, 4.0, 9.0]))
     found = ParticleFilter(UnitVector(kappa=30.0), N, engine=engine)(
         batch, track, Streams(1, "square_track", (7,))
     )
-    compiled = loading.load("filters.particle_kernels") if engine == "auto" else None
+    compiled = loading.load("kernels.particle") if engine == "auto" else None
     if compiled is None:
         rng = streams.generator(1, "square_track", 7, 3, 1)
         normals = [rng.standard_normal((N, 3)) for _ in range(2)]

@@ -157,9 +157,9 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
     walls, area = [np.empty((0, 2, 2))], None
     for number, feature in enumerate(features):
         try:
-            kind, lines = _feature(feature)
+            kind, lines = _feature(number, feature)
         except ValueError as error:
-            raise bad(f"{error}; feature {number} has others") from None
+            raise bad(str(error)) from None
         if kind == "visited":
             outside, *holes = (_enclosed(line) for line in lines)
             area = (area or 0.0) + outside - sum(holes)
@@ -168,7 +168,7 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
     return np.concatenate(walls), area
 
 
-def _feature(feature: Any) -> tuple[str, list[Array]]:
+def _feature(number: int, feature: Any) -> tuple[str, list[Array]]:
     """The kind of a GeoJSON feature, and its lines, each (K, 2) m; ValueError for what it may not
     hold.
     """
@@ -179,14 +179,18 @@ def _feature(feature: Any) -> tuple[str, list[Array]]:
     known = {("wall", "LineString"), ("wall", "MultiLineString"), ("visited", "Polygon")}
     if (kind, form) not in known:
         raise ValueError(
-            "walls (kind wall) as LineString or MultiLineString, the visited area (kind visited) "
-            f"as Polygon, not the kind {kind!r} with the geometry {form!r}"
+            "walls (kind wall) as LineString or MultiLineString, "
+            "the visited area (kind visited) as Polygon; "
+            f"feature {number} has the kind {kind!r} and the geometry {form!r}"
         )
     parts = [nested] if form == "LineString" else nested
     lines = [_line(part) for part in parts] if isinstance(parts, list) else []
     good = [line for line in lines if line is not None]
     if not good or len(good) < len(lines):
-        raise ValueError("lines of at least two points [x, y] of finite numbers in m")
+        raise ValueError(
+            "lines of at least two points [x, y] of finite numbers in m; "
+            f"feature {number} has others"
+        )
     return kind, good
 
 

@@ -57,7 +57,7 @@ def test_every_estimator_keeps_the_contract(group, name, noise):
     estimator = cell.estimators[name]
     truth, e = estimate_tile(Draws(cell.scenario, cell.noise, 1), estimator, 0)
     R, T = truth.shape[:2]
-    assert tile_of(estimator) == R
+    assert tile_of(estimator, cell.scenario) == R
     assert e.position.shape == (R, T, 3)
     assert e.outcome.shape == (R, T)
     assert set(np.unique(e.outcome)) <= set(Outcome)
@@ -79,7 +79,7 @@ def test_every_estimator_keeps_the_contract(group, name, noise):
 def test_every_estimator_is_better_than_no_measurement_at_all(group, name):
     """The track is 5 m wide, the room 7; whoever ignores the measurements is off by more than 3 m."""
     cell = compose_cells([*setting(name, "vmf", "square_track_upright"), f"{group}=[{name}]"])[0]
-    reps = 64 if tile_of(cell.estimators[name]) > 8 else 8
+    reps = 64 if tile_of(cell.estimators[name], cell.scenario) > 8 else 8
     rows = run_block(cell.scenario, cell.noise, cell.estimators, 1, 0, reps)[name]["rows"]
     assert np.median(rows["rmse_3d_m"]) < (1.5 if group == "filter" else 3.0)
 

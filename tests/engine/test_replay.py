@@ -66,12 +66,12 @@ def test_innovations_are_measured_less_expected_at_the_prediction(track):
     anchor's frame.
     """
     cell = compose_cells(TRACK)[0]
-    anchors = cell.scenario.known_anchors
+    anchors = cell.scenario.true_anchors
     for name in ("ekf_vmf", "pf_vmf"):
         trace = traced(track, name, 5)
         before = trace[["x_m", "y_m", "z_m"]].shift(1).to_numpy()
         for j in range(4):
-            p = (before - anchors.position[0, j]) @ anchors.rotation[0, j].T
+            p = (before - anchors.position[0, 0, j]) @ anchors.rotation[0, 0, j].T
             a, e = trace[f"azimuth_{j}_rad"], trace[f"elevation_{j}_rad"]
             measured = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
             expected = p / np.linalg.norm(p, axis=1, keepdims=True)

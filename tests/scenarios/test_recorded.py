@@ -82,7 +82,7 @@ def test_a_long_table_becomes_fixes_by_anchors(here):
 def test_facing_is_that_of_floor_plans(here):
     from aoabench.devices.plan import read_anchors
 
-    theirs, ours = read_anchors("anchors", Path("anchors.csv")), read().known_anchors
+    theirs, ours = read_anchors("anchors", Path("anchors.csv")), read().true_anchors
     np.testing.assert_allclose(ours.position, theirs.position)
     np.testing.assert_allclose(ours.rotation, theirs.rotation, atol=1e-15)
 
@@ -161,7 +161,7 @@ def test_times_may_be_dates_and_a_fix_goes_before_them(here):
 
 def bearing_of(s):
     """Global directions (T, B, 3) that the recording says, unit vectors from each anchor."""
-    m, a = s.recorded, s.known_anchors
+    m, a = s.recorded, s.true_anchors
     e = np.where(np.isfinite(m.elevation), m.elevation, 0.0)
     u = np.stack([np.cos(m.azimuth) * np.cos(e), np.sin(m.azimuth) * np.cos(e), np.sin(e)], axis=-1)
     return (u[..., None, :] @ a.rotation)[..., 0, :]
@@ -641,7 +641,7 @@ def test_the_true_zenith_angles_are_read_as_such(wifi):
         elevation_kind="zenith", columns={"elevation": "zenith_deg"},
     )  # fmt: skip
     a, e = to_azel(
-        *in_frames(s.truth(None)[None], s.known_anchors.position, s.known_anchors.rotation)
+        *in_frames(s.truth(None)[None], s.true_anchors.position, s.true_anchors.rotation)
     )
     seen = np.isfinite(s.recorded.elevation)
     assert np.abs(s.recorded.elevation - e[0])[seen].max() < np.deg2rad(0.1)

@@ -2,8 +2,6 @@
 fixes.
 """
 
-from types import SimpleNamespace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -19,6 +17,7 @@ from aoabench.resources import shipped
 from aoabench.store.fixes import Fixes
 from aoabench.studies import study
 from aoabench.types import Anchors, Batch, Outcome
+from tests.helpers import Place
 
 STUDY = study.load("boquet2024")
 numbers, figures = STUDY.numbers, STUDY.figures
@@ -49,7 +48,7 @@ def angles_of(p, s):
 
 
 def place(batch, height=0.0):
-    return SimpleNamespace(known_anchors=batch.anchors, height_m=height)
+    return Place(batch.anchors, height)
 
 
 # --- Figures 2 and 3 ------------------------------------------------------------------------------

@@ -193,7 +193,7 @@ def test_which_sides_are_pole_lines_of_which_anchors(scenario):
     s = cell(scenario).scenario
     for side in range(4):
         x = s.at(np.array([5.0 * side + 1.7, 5.0 * side + 3.1]))[None]
-        anchors = s.known_anchors
+        anchors = s.true_anchors
         elevation = g.to_azel(*g.in_frames(x, anchors.position, anchors.rotation))[1][0]
         at_pole = np.flatnonzero(np.all(np.isclose(elevation, np.pi / 2), axis=0))
         assert list(at_pole) == POLE_LINES[scenario].get(side, [])

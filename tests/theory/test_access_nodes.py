@@ -4,7 +4,6 @@ NumPy, errata.
 
 from dataclasses import replace
 from itertools import combinations
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from aoabench.filters import access_nodes as an
 from aoabench.maths.geometry import LIGHT, wrap
 from aoabench.models.motion import ConstantAcceleration
 from aoabench.types import Anchors, Batch, Outcome
+from tests.helpers import Place
 
 B = 7
 SUBSETS = [s for n in range(5) for s in combinations(an.PRINTED, n)]
@@ -73,7 +73,7 @@ def textbook(x, y, q, anchors, C, flags):
     h, H = (a[0] for a in an.expected(x[None], anchors, jacobian))
     v = y - h
     if unwrapped:
-        turn = np.arctan2(anchors.rotation[0, :, 0, 1], anchors.rotation[0, :, 0, 0])
+        turn = np.arctan2(anchors.rotation[0, 0, :, 0, 1], anchors.rotation[0, 0, :, 0, 0])
         v[:, 1] = wrap(y[:, 1] + turn) - wrap(h[:, 1] + turn)
     else:
         v[:, 1] = wrap(v[:, 1])
@@ -107,7 +107,7 @@ def test_update_is_the_textbooks(printed, anchors, rng):
     G = np.concatenate([H, np.zeros((len(H), 6))], axis=1)
     K = np.linalg.solve(G @ P @ G.T + R, G @ P).T
     mean, cov = x[0] + K @ v, P - K @ G @ P
-    A, g = an.information(x[:, :3], y[None], q[None], anchors, C, flags)
+    A, g = an.information(x[:, :3], y[None], q[None], anchors, C[None], flags)
     W = np.linalg.solve(np.eye(3) + A[0] @ P[:3, :3], np.column_stack([A[0], g[0]]))
     assert np.allclose(x[0] + P[:, :3] @ W[:, 3], mean, atol=1e-9)
     assert np.allclose(P - P[:, :3] @ W[:, :3] @ P[:3], cov, atol=1e-9)
@@ -128,7 +128,7 @@ def track(rng, anchors, R=11, T=40, missing=0.3):
     y = h.reshape(R, T, B, 3) + sigma * rng.normal(size=(R, T, B, 3))
     y[rng.random((R, T, B)) < missing] = np.nan
     y[:, 5] = np.nan  # a step without any
-    known = anchors.position + anchors.position_sigma * rng.normal(size=(R, B, 3))
+    known = anchors.position + anchors.position_sigma * rng.normal(size=(R, 1, B, 3))
     batch = Batch(
         wrap(y[..., 1]), y[..., 2], Anchors(known, anchors.rotation, anchors.position_sigma), delay=y[..., 0] / LIGHT,
         azimuth_sigma=np.full((R, T, B), sigma[1]), elevation_sigma=np.full((R, T, B), sigma[2]),
@@ -136,7 +136,7 @@ def track(rng, anchors, R=11, T=40, missing=0.3):
         prior_mean=x[:, 0] + rng.normal(size=(R, 9)) * ([1, 1, 0.1] + [0.3] * 6),
         prior_cov=np.diag([1, 1, 0.01] + [0.09] * 6),
     )  # fmt: skip
-    return x, batch, SimpleNamespace(motion=ConstantAcceleration(0.1), dt=0.1)
+    return x, batch, Place(anchors, motion=ConstantAcceleration(0.1), dt=0.1)
 
 
 @pytest.mark.parametrize("toa", [True, False])
@@ -180,7 +180,7 @@ def plain_ekf(batch, scenario, i, toa):
         x, P = F @ x, F @ P @ F.T + Q
         rows, v, blocks = [], [], []
         for b in range(batch.azimuth.shape[2]):
-            s, R = known.position[i, b], known.rotation[0, b]
+            s, R = known.position[i, 0, b], known.rotation[0, 0, b]
             y = np.array(
                 [LIGHT * batch.delay[i, k, b], batch.azimuth[i, k, b], batch.elevation[i, k, b]]
             )
@@ -188,7 +188,7 @@ def plain_ekf(batch, scenario, i, toa):
             use = np.isfinite(y) & (toa | (np.arange(3) > 0))
             H, d = slopes(x[:3], s, R), y - seen(x[:3], s, R)
             d[1] = wrap(d[1])
-            full = np.diag(sigma**2) + H @ np.diag(known.position_sigma[0, b] ** 2) @ H.T
+            full = np.diag(sigma**2) + H @ np.diag(known.position_sigma[0, 0, b] ** 2) @ H.T
             rows.append(H[use])
             v.append(d[use])
             blocks.append(full[np.ix_(use, use)])
@@ -278,10 +278,10 @@ def test_centroid_of_exact_measurements_is_the_position_and_of_others_the_weight
     assert found.outcome[0, 0] == Outcome.FAILED
     slow = np.zeros(3)
     for b in range(4, B):  # (12) with the azimuth of the wall subtracted, (13), (14)
-        R, (_, a, e) = anchors.rotation[0, b], h[1, 2, b]
+        R, (_, a, e) = anchors.rotation[0, 0, b], h[1, 2, b]
         theta = a + np.arctan2(R[0, 1], R[0, 0])
         r = LIGHT * delay[1, 2, b]
-        one = anchors.position[0, b] + r * np.array(
+        one = anchors.position[0, 0, b] + r * np.array(
             [np.cos(e) * np.cos(theta), np.cos(e) * np.sin(theta), np.sin(e)]
         )
         slow += one / sigma[1, 2, b] ** 2

@@ -61,18 +61,18 @@ def test_closed_form_of_one_anchor_across_and_along():
 def test_singular_geometries_are_nan_and_leave_the_others_alone(anchors):
     twice = Anchors(np.zeros((1, 2, 3)), np.tile(np.eye(3), (1, 2, 1, 1)))
     assert np.isnan(gdop(np.ones(3), twice))
-    points = np.stack([anchors.position[0, 0], np.array([1.0, 2, 3])])  # on an anchor, and not
+    points = np.stack([anchors.position[0, 0, 0], np.array([1.0, 2, 3])])  # on an anchor, and not
     assert np.isnan(gdop(points, anchors)).tolist() == [True, False]
 
 
 def test_direction_information_is_the_mean_curvature_of_von_mises_fisher(anchors, rng):
     """Second differences of the log density, averaged over 4e5 draws of each anchor; within 1 %."""
     point, kappa, step = np.array([1.0, 2.0, -1.0]), 20.0, 1e-3
-    offset = point - anchors.position[0]
+    offset = point - anchors.position[0, 0]
     u = [vmf_sample(rng, np.tile(o / np.linalg.norm(o), (400_000, 1)), kappa) for o in offset]
 
     def loglik(x):
-        d = x - anchors.position[0]
+        d = x - anchors.position[0, 0]
         d = d / np.linalg.norm(d, axis=-1, keepdims=True)
         return sum((vmf_log_peak(kappa) + kappa * (v @ e - 1)).mean() for v, e in zip(u, d))
 
@@ -111,13 +111,13 @@ def test_every_scenario_has_its_bound(scenario, noise):
     names = "estimator=[ls]" if scenario == "bs_grid" else "filter=[ekf_vmf]"
     cell = compose_cells([f"scenario={scenario}", f"noise={noise}", names, "noise.sigma_deg=1"])[0]
     points = cell.scenario.truth(np.random.default_rng(0))[:, :3]
-    bound = crb(cell.noise.information(points, cell.scenario.known_anchors))
+    bound = crb(cell.noise.information(points, cell.scenario.true_anchors))
     sigma = np.deg2rad(1.0)
     away = np.isfinite(bound).all((-1, -2))
     assert away.mean() > (
         0.99 if scenario == "bs_grid" else 0.4
     )  # on the square's pole lines azimuth tells everything
-    vmf = crb(direction_information(points, cell.scenario.known_anchors, 1 / sigma**2))
+    vmf = crb(direction_information(points, cell.scenario.true_anchors, 1 / sigma**2))
     if scenario == "bs_grid":
         ratio = np.sqrt(np.trace(bound, axis1=-2, axis2=-1) / np.trace(vmf, axis1=-2, axis2=-1))
         assert np.all((ratio > 0.66) & (ratio < 1.5))

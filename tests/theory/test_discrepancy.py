@@ -18,17 +18,18 @@ from aoabench.estimators.discrepancy import Discrepancy
 from aoabench.kernels.loading import load
 from aoabench.maths.geometry import euler, facing, to_unit
 from aoabench.types import Anchors, Batch, Outcome
+from tests.helpers import Place
 
 ENGINES = ("auto", "numpy")
 INTERSECTIONS = ("boxes", "exact")
 K = load("kernels.discrepancy")
 
 
-class Plane:
+class Plane(Place):
     """Anchors, and a node in the plane z = height_m."""
 
     def __init__(self, anchors, height_m=1.0, bounds_m=None):
-        self.known_anchors, self.height_m, self.bounds_m = anchors, height_m, bounds_m
+        super().__init__(anchors, height_m, bounds_m)
 
 
 def room(sigma_deg=8.0, *words, packets=10):
@@ -59,7 +60,7 @@ def ceiling(rng, n, tilt=0.4):
 
 def batch_towards(points, anchors, rng=None, sigma=0.0):
     """Angles (1, N, B) towards points (N, 3), with normal errors of `sigma` rad."""
-    v = anchors.rotation[0] @ (points[:, None] - anchors.position[0])[..., None]
+    v = anchors.rotation[0, 0] @ (points[:, None] - anchors.position[0, 0])[..., None]
     x, y, z = np.moveaxis(v[..., 0], -1, 0)
     e = sigma * rng.standard_normal((2, *x.shape)) if sigma else np.zeros((2, *x.shape))
     return Batch(
@@ -177,7 +178,7 @@ def test_tilted_anchors_meet_the_plane_where_their_rays_do(rng):
         points = np.concatenate([rng.uniform(0, 8, (50, 2)), np.full((50, 1), height)], axis=1)
         batch = batch_towards(points, anchors, rng)
         theta, phi = batch.azimuth[0], batch.elevation[0]
-        s, R = anchors.position[0], anchors.rotation[0]
+        s, R = anchors.position[0, 0], anchors.rotation[0, 0]
 
         def meet(theta, phi, s=s, R=R, height=height):
             u = (np.swapaxes(R, -1, -2) @ to_unit(theta, phi)[..., None])[..., 0]
@@ -220,7 +221,7 @@ def test_the_horizon_of_a_tilted_anchor_is_the_planes(rng):
     anchors = Anchors(np.array([[[0.0, 0.0, 2.0]] * 20]), facing(rng.normal(size=(20, 3)))[None])
     theta, phi = rng.uniform(-3, 3, (30, 20)), rng.uniform(-1.5, 1.5, (30, 20))
     m, _ = Discrepancy(r_sigma=1e-6).ellipses_of(theta, phi, anchors, 0.0)
-    u = (np.swapaxes(anchors.rotation[0], -1, -2) @ to_unit(theta, phi)[..., None])[..., 0]
+    u = (np.swapaxes(anchors.rotation[0, 0], -1, -2) @ to_unit(theta, phi)[..., None])[..., 0]
     flat = u[..., :2] / np.linalg.norm(u[..., :2], axis=-1, keepdims=True)
     down = np.maximum(np.arcsin(-u[..., 2]), np.deg2rad(1.0))
     assert (down <= np.deg2rad(1.0)).mean() > 0.3
@@ -649,7 +650,7 @@ def test_each_replication_has_its_own_anchors(engine, rng):
     worlds = [noisy(rng, 4, 30) for _ in range(3)]
     anchors = Anchors(
         *(
-            np.concatenate([getattr(w[0].known_anchors, k) for w in worlds])
+            np.concatenate([getattr(w[0].true_anchors, k) for w in worlds])
             for k in ("position", "rotation")
         )
     )

@@ -57,7 +57,7 @@ def plan():
 def test_the_walls_are_those_of_the_file(shipped_map, plan):
     visited, walls = plan
     assert walls.bounds == (0, 0, 150, 112)
-    assert shapely.union_all(shapely.linestrings(shipped_map.segments)).equals(walls)
+    assert shapely.union_all(shapely.linestrings(shipped_map.wall_segments)).equals(walls)
     assert shapely.difference(visited.exterior, walls).length == 0  # walls bound the visited area
     assert shipped_map.visited_area_m2 == pytest.approx(visited.area)
     assert 1800 < visited.area < 2200
@@ -75,7 +75,7 @@ def test_corridors_are_5_m_wide(plan):
 
 def test_access_nodes_hang_on_the_walls_and_look_inward(shipped_map, plan):
     visited, walls = plan
-    position, R = shipped_map.known_anchors.position[0], shipped_map.known_anchors.rotation[0]
+    position, R = shipped_map.true_anchors.position[0, 0], shipped_map.true_anchors.rotation[0, 0]
     assert len(position) == round(1.24 / 25 * visited.area)
     assert np.all(position[:, 2] == 3)
     points = shapely.points(position[:, :2])
@@ -94,12 +94,15 @@ def test_access_nodes_hang_on_the_walls_and_look_inward(shipped_map, plan):
 
 
 def test_local_axes_are_broadside_left_and_up(shipped_map):
-    known = shipped_map.known_anchors
-    R = known.rotation[0]
+    known = shipped_map.true_anchors
+    R = known.rotation[0, 0]
     assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3))
     assert np.allclose(np.linalg.det(R), 1)
     assert np.allclose(R[:, 2], [0, 0, 1])
-    ahead, left = known.position[0] + 3 * R[:, 0], known.position[0] + np.cross([0, 0, 1], R[:, 0])
+    ahead, left = (
+        known.position[0, 0] + 3 * R[:, 0],
+        known.position[0, 0] + np.cross([0, 0, 1], R[:, 0]),
+    )
     for point, azimuth in ((ahead, 0), (left, np.pi / 2)):
         a, e = to_azel(*in_frames(point[None], known.position, known.rotation))
         assert np.allclose(np.diagonal(a[0]), azimuth, atol=1e-12)
@@ -175,11 +178,11 @@ def test_line_of_sight_is_what_orientation_tests_and_shapely_find(walls, rng):
 def test_line_of_sight_on_the_shipped_plan(shipped_map, rng):
     points, anchors = (
         rng.uniform([0, 0, 0], [150, 112, 3], (60, 3)),
-        shipped_map.known_anchors.position[0],
+        shipped_map.true_anchors.position[0, 0],
     )
     points[:20] = shipped_map.truth(rng)[::150, :3][:20]
     found = shipped_map.line_of_sight(points)
-    walls = shapely.MultiLineString(list(shipped_map.segments))
+    walls = shapely.MultiLineString(list(shipped_map.wall_segments))
     slow = [
         [not walls.intersects(shapely.LineString([p[:2], a[:2]])) for a in anchors] for p in points
     ]
@@ -199,26 +202,26 @@ def test_line_of_sight_without_walls_in_one_place_and_of_many_points(rng):
 def test_the_nearest_in_sight_report(shipped_map, rng):
     points = shipped_map.truth(rng)[::40, :3]
     seen = shipped_map.line_of_sight(points)
-    d = np.linalg.norm(points[:, None] - shipped_map.known_anchors.position, axis=-1)
+    d = np.linalg.norm(points[:, None] - shipped_map.true_anchors.position[0, 0], axis=-1)
     for nearest in (1, 8, 20):
-        reported = replace(shipped_map, nearest=nearest).reported(points)
+        reported = replace(shipped_map, nearest=nearest).hears(points)
         for t in range(len(points)):
             wanted = sorted(np.flatnonzero(seen[t]), key=lambda b, t=t: d[t, b])[:nearest]
             assert set(np.flatnonzero(reported[t])) == set(wanted)
     for nearest in (None, 107, 1000):
-        assert np.array_equal(replace(shipped_map, nearest=nearest).reported(points), seen)
+        assert np.array_equal(replace(shipped_map, nearest=nearest).hears(points), seen)
 
 
 def test_the_routes_tables_are_kept_and_travel(shipped_map, rng):
     points = shipped_map.truth(rng)[:, :3]
-    table = shipped_map.reported(points)
-    assert shipped_map.reported(points.copy()) is table
+    table = shipped_map.hears(points)
+    assert shipped_map.hears(points.copy()) is table
     assert shipped_map.line_of_sight(points) is shipped_map.line_of_sight(points)
-    assert np.array_equal(shipped_map.reported(points[100:105]), table[100:105])
+    assert np.array_equal(shipped_map.hears(points[100:105]), table[100:105])
     again = pickle.loads(pickle.dumps(shipped_map))
     assert again == shipped_map
     assert again.files == shipped_map.files
-    assert np.array_equal(again.reported(points), table)
+    assert np.array_equal(again.hears(points), table)
 
 
 # --- the motion model -----------------------------------------------------------------------------
@@ -278,11 +281,11 @@ def test_the_shipped_model_variant_wanders_some_metres(rng):
     scenario = preset("indoor_map_model")
     ends = np.stack([scenario.truth(rng)[-1, :3] for _ in range(50)]) - [93, 73, 1]
     assert scenario.steps == 600
-    assert scenario.segments is None
+    assert scenario.wall_segments is None
     assert scenario.visited_area_m2 is None
     assert 1.5 < np.sqrt(np.mean(ends**2)) < 6
     points = scenario.truth(rng)[:, :3]
-    assert np.all(scenario.reported(points).sum(axis=1) == 8)
+    assert np.all(scenario.hears(points).sum(axis=1) == 8)
     assert len(replace(scenario, steps=None).truth(rng)) == scenario.route_steps == 90
 
 
@@ -340,14 +343,14 @@ def feature(form, coordinates, **properties):
 def test_walls_from_csv_equal_those_from_geojson(shipped_map, here, rng):
     rows = [
         ",".join(map(repr, [f"wall {i}", *s.ravel().tolist()]))
-        for i, s in enumerate(shipped_map.segments)
+        for i, s in enumerate(shipped_map.wall_segments)
     ]
     (here / "w.csv").write_text(
         "\ufeffname,x0_m,y0_m,x1_m,y1_m\r\n" + "\r\n".join(rows) + "\r\n\r\n", encoding="utf-8"
     )
     mine = replace(shipped_map, walls="w.csv")
     points = shipped_map.truth(rng)[::60, :3]
-    assert np.array_equal(mine.segments, shipped_map.segments)
+    assert np.array_equal(mine.wall_segments, shipped_map.wall_segments)
     assert np.array_equal(mine.line_of_sight(points), shipped_map.line_of_sight(points))
     assert mine.visited_area_m2 is None
 
@@ -373,8 +376,8 @@ def test_own_files_come_first_and_any_path_will_do(here):
     for walls in ("plans/own.geojson", str(path)):
         mine = own(anchors="indoor_map_anchors.csv", walls=walls)
         assert mine.files == ((here / "indoor_map_anchors.csv").resolve(), path.resolve())
-        assert mine.known_anchors.position.shape == (1, 2, 3)
-        assert mine.segments.shape == (5, 2, 2)  # the one of length 0 is left out
+        assert mine.true_anchors.position.shape == (1, 1, 2, 3)
+        assert mine.wall_segments.shape == (5, 2, 2)  # the one of length 0 is left out
         assert mine.visited_area_m2 == pytest.approx(4 - 1)
     seen = mine.line_of_sight(mine.truth(None)[:, :3])
     x = mine.truth(None)[:, 0]

@@ -14,12 +14,13 @@ from aoabench.maths.linalg import cholesky
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
+from aoabench.roles import Measurement, Motion, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(Measurement):
     """y = H x + e: a measurement model for which every Kalman filter is exact; azimuth and
     elevation carry y.
     """
@@ -45,7 +46,7 @@ class Linear:
 
 
 @dataclass(frozen=True)
-class ConstantVelocity:
+class ConstantVelocity(Motion):
     """A motion model with F != I, in six dimensions."""
 
     def matrices(self, dt):
@@ -55,7 +56,7 @@ class ConstantVelocity:
 
 
 @dataclass(frozen=True)
-class Line:
+class Line(Scenario):
     name: str = "line"
     dt: float = 0.5
     motion: object = ConstantVelocity()

@@ -15,6 +15,7 @@ from aoabench.kernels.loading import load
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
+from aoabench.roles import Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome
 
@@ -42,7 +43,7 @@ def test_angles_to_the_last_bits():
     assert out[0] == 0
 
 
-class Moving:
+class Moving(Scenario):
     """A state of three or six dimensions in free motion."""
 
     name, dt = "moving", 0.5
@@ -102,7 +103,7 @@ def test_equal_those_in_numpy(h, make, R, B, n, own_anchors, missing, batch_of):
     fast, slow = (
         replace(f, engine=engine)(batch, Moving(n), streams) for engine in ("auto", "numpy")
     )
-    assert f.kernel() is not None
+    assert f.kind() is not None
     assert np.allclose(fast.position, slow.position, rtol=0, atol=1e-9)
     assert np.allclose(fast.covariance, slow.covariance, rtol=0, atol=1e-9)
     assert np.array_equal(fast.outcome, slow.outcome)
@@ -131,12 +132,12 @@ def test_covariances_stay_positive_for_any_noise(make, sigma_deg, batch_of):
 
 
 def test_the_augmented_form_and_other_models_run_in_numpy():
-    assert UKF(AzEl(10.0), form="augmented").kernel() is None
+    assert UKF(AzEl(10.0), form="augmented").kind() is None
 
     class Own(AzEl):
         pass
 
-    assert EKF(Own(10.0)).kernel() is None
+    assert EKF(Own(10.0)).kind() is None
 
 
 def test_the_machine_code_is_vectorised(tmp_path):

@@ -31,7 +31,7 @@ def make_anchors(rng, B=4):
 
 
 def make_batch(rng, anchors, R=6, T=3):
-    shape = (R, T, anchors.position.shape[1])
+    shape = (R, T, anchors.count)
     sigma = np.full(shape, np.deg2rad(10))
     az, el = rng.uniform(-np.pi, np.pi, shape), rng.uniform(-1.5, 1.5, shape)
     return Batch(az, el, anchors, azimuth_sigma=sigma, elevation_sigma=sigma)
@@ -137,7 +137,7 @@ def test_a_missing_measurement_is_left_out_of_the_likelihood(h, rng):
     batch = make_batch(rng, anchors)
     batch.azimuth[:, :, 1] = np.nan
     batch.elevation[:, :, 1] = np.nan
-    fewer = Anchors(anchors.position[:, [0, 2]], anchors.rotation[:, [0, 2]])
+    fewer = anchors.those(np.array([0, 2]))
     less = Batch(batch.azimuth[..., [0, 2]], batch.elevation[..., [0, 2]], fewer)
     x = rng.uniform(-4, 4, (6, 3))
     (y, r), (y2, r2) = h.observe(batch), h.observe(less)

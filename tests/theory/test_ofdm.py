@@ -2,8 +2,6 @@
 samples.
 """
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -12,6 +10,7 @@ from aoabench.errors import BadValue
 from aoabench.maths.geometry import LIGHT
 from aoabench.noise.ofdm import OfdmCrlb
 from aoabench.types import Anchors
+from tests.helpers import Place
 
 NOISE = OfdmCrlb()
 
@@ -23,7 +22,7 @@ def scenario(B=5):
     turn = np.linspace(0.3, 5.9, B) + np.pi  # broadside towards the middle
     c, s, o, i = np.cos(turn), np.sin(turn), np.zeros(B), np.ones(B)
     R = np.stack([np.stack(r, -1) for r in ((c, s, o), (-s, c, o), (o, o, i))], axis=-2)
-    return SimpleNamespace(known_anchors=Anchors(position, R[None]))
+    return Place(Anchors(position, R[None]))
 
 
 def test_path_loss_and_rss_by_hand():
@@ -114,8 +113,8 @@ def test_samples_have_the_stated_deviations():
     world, rng = scenario(), np.random.default_rng(5)
     truth = rng.uniform(-4, 4, (4000, 3)) * [1, 1, 0.1]
     m = NOISE.sample(rng, world, truth)
-    offset = truth[:, None] - world.known_anchors.position
-    local = (world.known_anchors.rotation[0] @ offset[..., None])[..., 0]
+    offset = truth[:, None] - world.true_anchors.position[0, 0]
+    local = (world.true_anchors.rotation[0, 0] @ offset[..., None])[..., 0]
     d = np.linalg.norm(local, axis=-1)
     for name, exact in (
         ("azimuth", np.arctan2(local[..., 1], local[..., 0])),
@@ -138,7 +137,7 @@ def test_shadowing_is_common_to_the_anchors_and_correlated_along_the_way():
         np.exp(-5.0 / 10.0), abs=4 * (1 - np.exp(-1.0)) / np.sqrt(4000)
     )
     m = NOISE.sample(rng, world, truth)
-    d = np.linalg.norm(truth[:, None] - world.known_anchors.position, axis=-1)
+    d = np.linalg.norm(truth[:, None] - world.true_anchors.position[0, 0], axis=-1)
     fade = m.rssi - NOISE.rss(d)
     assert np.allclose(fade, fade[:, :1])
     free = np.array([OfdmCrlb(shadowing_m=0).shadowing(rng, truth) for _ in range(2000)])
@@ -156,7 +155,7 @@ def test_access_nodes_errors(error):
         scenario(),
     )
     known = [noise.known_anchors(rng, world) for _ in range(4000)]
-    e = np.concatenate([k.position for k in known]) - world.known_anchors.position
+    e = (np.concatenate([k.position for k in known]) - world.true_anchors.position)[:, 0]
     spread = e.std(axis=0)
     assert np.allclose(spread, [2.0, 2.0, 0.2], rtol=4 / np.sqrt(8000))
     assert np.allclose(known[0].position_sigma, [2.0, 2.0, 0.2])
@@ -165,7 +164,7 @@ def test_access_nodes_errors(error):
         together == pytest.approx(1.0) if error == "common" else abs(together) < 4 / np.sqrt(4000)
     )
     exact = OfdmCrlb().known_anchors(rng, world)
-    assert np.array_equal(exact.position, world.known_anchors.position)
+    assert np.array_equal(exact.position, world.true_anchors.position)
 
 
 @pytest.mark.parametrize("bad", [

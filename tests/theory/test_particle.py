@@ -10,6 +10,7 @@ from aoabench.errors import BadValue
 from aoabench.filters.particle import ParticleFilter, reweigh, systematic
 from aoabench.models.azel import AzEl
 from aoabench.models.unit_vector import UnitVector
+from aoabench.roles import Scenario
 from aoabench.streams import Streams
 from aoabench.studies import study
 from aoabench.types import Anchors, Batch, Outcome
@@ -22,7 +23,7 @@ ORIGIN = Anchors(np.zeros((1, 1, 3)), np.eye(3)[None, None])
 # --- convergence ----------------------------------------------------------------------------------
 
 
-class OneUpdate:
+class OneUpdate(Scenario):
     """Figure 2 as a scenario of one step: the prior, no motion to speak of, one measurement."""
 
     name, dt = "one update", 1.0
@@ -227,7 +228,7 @@ def test_an_anchor_without_a_measurement_is_not_used(h, track):
         batch,
         azimuth=batch.azimuth[..., keep], elevation=batch.elevation[..., keep],
         azimuth_sigma=batch.azimuth_sigma[..., keep], elevation_sigma=batch.elevation_sigma[..., keep],
-        anchors=Anchors(batch.anchors.position[:, keep], batch.anchors.rotation[:, keep]),
+        anchors=batch.anchors.those(keep),
     )  # fmt: skip
     streams = Streams(1, "square_track", (0, 1))
     a, b = (ParticleFilter(h, 500)(x, track, streams) for x in (batch, fewer))

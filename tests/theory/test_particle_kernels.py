@@ -17,12 +17,14 @@ from aoabench.config.compose import compose_cells
 from aoabench.engine import block
 from aoabench.engine.tiles import Draws, estimate_tile
 from aoabench.filters import particle as pf
+from aoabench.filters import particle_inputs as inputs
 from aoabench.filters.compiled import KINDS, kind_of
 from aoabench.kernels.loading import load
 from aoabench.maths.directional import vmf_log_peak
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
+from aoabench.roles import Scenario
 from aoabench.store import keys
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch
@@ -238,7 +240,11 @@ def test_log_weights_of_one_step(sigma_deg, which, B, rng):
         out = np.empty(M, dtype=np.float32)
         x = np.ascontiguousarray(particles.T.astype(np.float32))
         K.loglik(
-            which, *x, pf.terms(which, y, r, anchors, np.zeros(3))[0], pf.weights_table(h), out
+            which,
+            *x,
+            inputs.terms(which, y, r, anchors, np.zeros(3))[0],
+            inputs.weights_table(h),
+            out,
         )
         seen = exact > exact.max() - 46
         if which:
@@ -276,7 +282,9 @@ def test_what_is_not_measured_is_left_out(which, rng):
     r = np.full(y.shape, np.deg2rad(10) ** 2)
     out = np.empty(M, dtype=np.float32)
     x = np.ascontiguousarray(particles.T.astype(np.float32))
-    K.loglik(which, *x, pf.terms(which, y, r, anchors, np.zeros(3))[0], pf.weights_table(h), out)
+    K.loglik(
+        which, *x, inputs.terms(which, y, r, anchors, np.zeros(3))[0], inputs.weights_table(h), out
+    )
     difference = out - h.loglik(particles[None], anchors, y, r)[0]
     assert np.abs(difference - np.median(difference)).max() < (0.3 if which == 2 else 1e-4)
 
@@ -288,8 +296,8 @@ def test_a_particle_on_its_anchor_or_pole_is_finite(which):
     x = np.zeros((3, K.TILE), dtype=np.float32)
     x[2, 1], x[2, 2] = 2.0, -2.0
     out = np.empty(K.TILE, dtype=np.float32)
-    terms = pf.terms(which, y, np.full(y.shape, 0.03), anchors, np.zeros(3))[0]
-    K.loglik(which, *x, terms, pf.weights_table(h), out)
+    terms = inputs.terms(which, y, np.full(y.shape, 0.03), anchors, np.zeros(3))[0]
+    K.loglik(which, *x, terms, inputs.weights_table(h), out)
     assert np.all(np.isfinite(out))
 
 
@@ -389,7 +397,7 @@ def test_single_precision_is_not_seen_beside_the_monte_carlo_error(name):
     assert abs(d.mean()) + 3 * d.std(ddof=1) / np.sqrt(300) < 0.1 * exact.std() / np.sqrt(1000)
 
 
-class Still:
+class Still(Scenario):
     """Four steps of a target that hardly moves, seen from any number of anchors."""
 
     name, dt = "still", 1.0
@@ -434,7 +442,7 @@ def test_any_number_of_anchors_and_particles_and_any_linear_motion(B, N, which, 
 def test_the_same_bits_with_and_without_shared_normals(name, monkeypatch):
     cell = cell_with(name, "noise=vmf")
     shared = estimates(cell, "auto", 5, particles=500)
-    monkeypatch.setattr(pf, "SHARED_BYTES", 0)
+    monkeypatch.setattr(inputs, "SHARED_BYTES", 0)
     alone = estimates(cell, "auto", 5, particles=500)
     again = estimates(cell, "auto", 5, particles=500)
     for other in (alone, again):

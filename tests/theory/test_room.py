@@ -3,7 +3,6 @@ channel's symptoms.
 """
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from aoabench.estimators.vmf_likelihood import VmfLikelihood
 from aoabench.maths.geometry import euler, facing, in_frames, to_azel, wrap
 from aoabench.noise.multipath import BleMultipath
 from aoabench.types import Anchors, Batch, Outcome
+from tests.helpers import Place
 
 
 def room(*words, noise="ae_normal", estimator="anchor_mean"):
@@ -40,7 +40,7 @@ def seen(points, anchors, error=0.0):
 
 def place(batch):
     """A scenario that knows no more than its anchors."""
-    return SimpleNamespace(known_anchors=batch.anchors)
+    return Place(batch.anchors)
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_turning_the_world_turns_the_estimates(tilted, rng):
 def test_line_least_squares_minimises_the_distances(tilted, rng):
     anchors, points = tilted
     batch = seen(points, anchors, 0.1 * rng.standard_normal((2, 40, 5)))
-    u, s = directions(batch)[0], anchors.position[0]
+    u, s = directions(batch)[0], anchors.position[0, 0]
     found = LineLeastSquares()(batch, place(batch), None)
 
     def square(p, k):
@@ -169,7 +169,7 @@ def test_vmf_likelihood_is_what_scipy_maximises(free, tilted, rng):
         batch, azimuth_sigma=np.broadcast_to(rng.uniform(0.05, 0.3, 5), batch.azimuth.shape)
     )
     found = VmfLikelihood("free" if free else 1.0, tolerance_m=1e-7)(batch, place(batch), None)
-    u, s, kappa = directions(batch)[0], anchors.position[0], 1 / batch.azimuth_sigma[0, 0] ** 2
+    u, s, kappa = directions(batch)[0], anchors.position[0, 0], 1 / batch.azimuth_sigma[0, 0] ** 2
 
     def minus_log(p, k):
         x = p if free else np.append(p, 1.0)
@@ -269,7 +269,7 @@ def test_without_its_parts_the_noise_is_none():
     e, batch, scenario, _ = errors(quiet(), "scenario.packets=4")
     assert np.abs(e).max() < 1e-6
     d = np.linalg.norm(
-        scenario.truth(None)[:, None, :3] - scenario.known_anchors.position[0], axis=-1
+        scenario.truth(None)[:, None, :3] - scenario.true_anchors.position[0, 0], axis=-1
     )
     assert np.allclose(batch.rssi, -45 - 20 * np.log10(d))
 
@@ -320,7 +320,7 @@ def test_biases_belong_to_the_campaign_and_the_place():
     each = day[1].reshape(4, 42, 2, 3, 3)
     assert np.allclose(each, each[:, :1, :, :1], atol=1e-6)
     assert np.abs(each[:, 0, 0, 0] - each[:, 0, 1, 0]).min() > 0.01
-    assert scenario.days_of.reshape(42, 2, 3).std(axis=(0, 2)).max() == 0
+    assert scenario.day_of(len(scenario.truth(None))).reshape(42, 2, 3).std(axis=(0, 2)).max() == 0
 
 
 def test_disturbed_packets_are_pulled_at_all_anchors_at_once():
@@ -336,7 +336,7 @@ def test_a_full_pull_points_at_a_wall_image():
     e, batch, scenario, _ = errors(
         quiet(disturbed=(1, 1), pull=(1e9,), pull_spread=0), "scenario.packets=2", reps=1
     )
-    p, s = scenario.truth(None)[:, :3], scenario.known_anchors.position[0]
+    p, s = scenario.truth(None)[:, :3], scenario.true_anchors.position[0, 0]
     images = np.stack(
         [p * [-1, 1, 1], p * [-1, 1, 1] + [14.4, 0, 0], p * [1, -1, 1], p * [1, -1, 1] + [0, 17, 0]]
     )

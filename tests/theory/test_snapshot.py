@@ -122,7 +122,7 @@ def test_what_is_not_measured_is_left_out(engine, rng):
         fewer,
         azimuth=azimuth[..., keep],
         elevation=elevation[..., keep],
-        anchors=Anchors(anchors.position[:, keep], anchors.rotation[:, keep]),
+        anchors=Anchors(anchors.position[:, :, keep], anchors.rotation[:, :, keep]),
     )
     for estimator in (LeastSquares(engine=engine), GaussNewton(engine=engine)):
         a, b = (estimator(x, None, None).position for x in (fewer, without))
@@ -133,7 +133,7 @@ def test_what_is_not_measured_is_left_out(engine, rng):
 def test_maximum_likelihood_is_what_scipy_minimises():
     scenario, truth, batch = grid(2.0)
     found = GaussNewton("kcorr")(batch, None, None)
-    h, anchors = AzEl(1.0), scenario.known_anchors
+    h, anchors = AzEl(1.0), scenario.true_anchors
     y = np.stack([batch.azimuth, batch.elevation], axis=-1)[0].reshape(1000, -1)
     for i in range(0, 1000, 50):
         best = least_squares(
@@ -179,7 +179,7 @@ def test_corrected_likelihood_reaches_the_bound_at_small_noise():
     scenario, truth, batch = grid(0.25, 100)
     found = GaussNewton("kcorr")(batch, None, None)
     sigma = np.deg2rad(0.25)
-    bound = bounds.crb(bounds.azel_information(truth[0], scenario.known_anchors, sigma, sigma))
+    bound = bounds.crb(bounds.azel_information(truth[0], scenario.true_anchors, sigma, sigma))
     assert np.all(found.outcome == Outcome.OK)
     assert rmse(found, truth) ** 2 / np.trace(bound, axis1=-2, axis2=-1).mean() == pytest.approx(
         1, abs=0.025
@@ -264,14 +264,14 @@ def test_zones_and_positions(rng):
     for zone, least in (("strip", 50.0), ("disc", 50.0), ("none", 0.0)):
         scenario, truth, _ = grid(1.0, 2, f"scenario.zone={zone}", f"scenario.clearance_m={50}")
         assert np.array_equal(truth[0], truth[1])  # fixed by the seed
-        d = np.abs(truth[0][:, None, :2] - scenario.known_anchors.position[0, None, :, :2])
+        d = np.abs(truth[0][:, None, :2] - scenario.true_anchors.position[0, 0, None, :, :2])
         assert {"strip": d.min(), "disc": np.linalg.norm(d, axis=-1).min(), "none": 0.0}[
             zone
         ] >= least
         assert np.all((truth >= 0) & (truth <= [1000, 1000, 20]))
     scenario, truth, _ = grid(1.0, 1, "scenario.zone=ring", "scenario.clearance_m=3")
     d = np.linalg.norm(
-        truth[0][:, None, :2] - scenario.known_anchors.position[0, None, :, :2], axis=-1
+        truth[0][:, None, :2] - scenario.true_anchors.position[0, 0, None, :, :2], axis=-1
     ).min(axis=1)
     assert np.allclose(d, 3)
     assert NormalAngles(1.0).sigma > 0
