@@ -176,7 +176,7 @@ def _feature(number: int, feature: Any) -> tuple[str, list[Array]]:
     geometry = _mapping(node.get("geometry"))
     kind = _mapping(node.get("properties")).get("kind", "wall")
     form, nested = geometry.get("type"), geometry.get("coordinates")
-    known = {("wall", "LineString"), ("wall", "MultiLineString"), ("visited", "Polygon")}
+    known = [("wall", "LineString"), ("wall", "MultiLineString"), ("visited", "Polygon")]
     if (kind, form) not in known:
         raise ValueError(
             "walls (kind wall) as LineString or MultiLineString, "

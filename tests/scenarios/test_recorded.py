@@ -42,7 +42,7 @@ LOG = """fix,anchor,azimuth_deg,elevation_deg,rssi_dbm,x_m,y_m,z_m
 
 def preset(**changes):
     node = yaml.safe_load((shipped("configs") / "scenario" / "recorded.yaml").read_text())
-    columns = {**node["columns"], **changes.pop("columns", {})}
+    columns = {"_target_": "aoabench.scenarios.recorded.Columns", **changes.pop("columns", {})}
     return construct({**node, **changes, "columns": columns}, "scenario")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from aoabench.errors import BadValue
+from aoabench.errors import BadValue, Unfit
 from aoabench.estimators.centroid import WeightedCentroid
 from aoabench.filters import access_nodes as an
 from aoabench.maths.geometry import LIGHT, wrap
@@ -254,9 +254,9 @@ def test_bad_input_is_named(anchors, rng):
         prior_mean=batch.prior_mean,
         prior_cov=batch.prior_cov,
     )
-    with pytest.raises(BadValue, match="ofdm_crlb"):
+    with pytest.raises(Unfit, match="ofdm_crlb"):
         an.AccessNodeEKF()(without, scenario, None)
-    with pytest.raises(BadValue, match="ofdm_crlb"):
+    with pytest.raises(Unfit, match="ofdm_crlb"):
         WeightedCentroid()(without, scenario, None)
 
 

@@ -223,7 +223,7 @@ def test_clipping_is_a_flag():
 
 
 @pytest.mark.parametrize(("words", "says"), [
-    (["estimator=[anchor_mean]", "scenario=bs_grid"], r"estimator.anchor_mean.height_m=None .* allowed: a number of m"),
+    (["estimator=[anchor_mean]", "scenario=bs_grid"], r"scenario='bs_grid' .* a known height, or a height_m .* estimator.anchor_mean needs"),
     (["estimator=[anchor_mean]", "estimator.anchor_mean.height_m=2.8"], r"height_m=2.8 .*other than that of anchor 1"),
     (["estimator=[single_anchor_1]", "estimator.single_anchor_1.anchor=4"], r"anchor=4 .* <= 3"),
     (["estimator=[anchor_mean]", "estimator.anchor_mean.anchors=[1,1]"], r"anchors=\[1, 1\]"),

@@ -4,4 +4,4 @@ giving one frame.
 
 from .models import fig1, table1
 from .replications import adaptivity, fig3, fig4, frames, layouts, particles
-from .update import fig2
+from .update import FIG2, exact_mean, fig2
