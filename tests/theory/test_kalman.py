@@ -13,12 +13,13 @@ from aoabench.maths.linalg import cholesky
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
+from aoabench.roles import Measurement
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(Measurement):
     """y = H x + e: a measurement model for which every Kalman filter is exact; azimuth and
     elevation carry y.
     """
