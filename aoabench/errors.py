@@ -93,7 +93,7 @@ def _limits(above: float, least: float, most: float) -> str:
 
 def check_choice(key: str, value: object, choices: Sequence[str]) -> None:
     """Raise BadValue unless `value` is one of `choices`."""
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise BadValue(key, value, "one of " + ", ".join(choices))
 
 

@@ -55,7 +55,7 @@ class Param:
 
     def check(self, key: str, value: object, annotation: str) -> None:
         """Raise BadValue unless `value` fits; `annotation` is that of the field: int | None, ..."""
-        optional = annotation.endswith(" | None")
+        optional = "None" in annotation.split(" | ") and annotation != "None"
         if value is None and optional:
             return
         if any(isinstance(value, type(one)) and value == one for one in self.also):
@@ -69,10 +69,10 @@ class Param:
 
     def check_of(self, annotation: str) -> Check:
         """The check of values other than null; TypeError for an annotation that has none."""
-        kinds = annotation.split(" | ")
+        kinds = [kind for kind in annotation.split(" | ") if kind != "None"] or ["None"]
         first = kinds[0]
         limits: dict[str, Any] = {"above": self.above, "least": self.least, "most": self.most}
-        if self.kind is not None:
+        if self.kind is not None and self.kind.__name__ in kinds:
             return partial(self._check_object, text="str" in kinds)
         if first in ("float", "int"):
             return partial(check_number, integer=first == "int", **limits)

@@ -24,7 +24,8 @@ class WeightedCentroid(Estimator):
     """The mean of the ANs' positions, weighted by the inverse variances of their times."""
 
     as_printed: bool = param(
-        False, "(12) does not subtract the array's orientation from the measured azimuth [U5]"
+        False,
+        "whether (12) runs as printed: the array's orientation stays in the measured azimuth [U5]",
     )
     tile = 8
 

@@ -42,7 +42,9 @@ EVEN = 1e-9  # ratios (19) that differ by less are the same
 
 @dataclass(frozen=True)
 class Discrepancy(Compiled, Estimator):
-    """The ellipses are shaped by r_sigma times azimuth_sigma_deg and elevation_sigma_deg."""
+    """r_sigma times azimuth_sigma_deg and elevation_sigma_deg are the deviations that shape the
+    ellipses.
+    """
 
     r_sigma: float = param(1.0, "factor on both deviations: a small one rejects more", above=0)
     azimuth_sigma_deg: float = param(
@@ -66,11 +68,13 @@ class Discrepancy(Compiled, Estimator):
     )
     ties: str = param(
         "area",
-        "among several largest sets: the one of the largest ratio (19) of areas, "
+        "which of several largest sets: the one of the largest ratio (19) of areas, "
         "or the first in the order of anchor numbers",
         choices=TIES,
     )
-    vote: bool = param(True, "false: all anchors that measured are fused, step S2 is left out")
+    vote: bool = param(
+        True, "whether anchors vote; false: all that measured are fused, S2 is left out"
+    )
     clip: bool = clip_param()
     height_m: float | None = height_param()
     engine: str = engine_param()

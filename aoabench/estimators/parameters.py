@@ -20,7 +20,7 @@ def horizon_param() -> Any:
 
 def clip_param() -> Any:
     """The parameter `clip`."""
-    return param(True, "x and y are moved into the scenario's bounds, if it has any")
+    return param(True, "whether x and y are moved into the scenario's bounds, if it has any")
 
 
 def tolerance_param(default: float) -> Any:
@@ -30,4 +30,6 @@ def tolerance_param(default: float) -> Any:
 
 def updates_param(default: int) -> Any:
     """The parameter `updates` of an iteration."""
-    return param(default, "steps after which a fix is oscillated", least=1, most=1_000_000)
+    return param(
+        default, "steps after which the iteration counts as oscillating", least=1, most=1_000_000
+    )

@@ -31,7 +31,9 @@ FREE = "free"
 
 @dataclass(frozen=True)
 class VmfLikelihood(Estimator):
-    """Each kappa is 1 / sigma^2 of the azimuth's stated deviation where there is one, otherwise all
+    """Maximum likelihood of von Mises-Fisher directions.
+
+    Each kappa is 1 / sigma^2 of the azimuth's stated deviation where there is one, otherwise all
     are alike. A fix is `oscillated` if no step gets shorter than `tolerance_m` within `updates`,
     `diverged` beyond 1e6 m, `failed` without a start. The score is the root mean square angle in
     rad between measured and expected directions.

@@ -46,7 +46,7 @@ class AccessNodeEKF(Compiled, Estimator):
     nothing: exact).
     """
 
-    toa: bool = param(True, "times of arrival are used beside the angles")
+    toa: bool = param(True, "whether times of arrival are used beside the angles")
     as_printed: Sequence[str] = param(
         (),
         "errata to run as printed: jacobian (21), (26) [U1, U2]; wrap: the azimuth's difference "

@@ -78,8 +78,8 @@ class ParticleFilter(Compiled, Filter):
 
     Every draw depends on the replication alone, never on the weights: all particle filters of one
     replication move their particles by the same noise. The compiled kernel needs a state that is
-    the position alone. The engine `numpy` has draws of its own; `double` is `numpy` along the
-    kernel's draws, to see what single precision does.
+    the position alone. The engine `numpy` has draws of its own; `double` shows what single
+    precision does.
     """
 
     measurement: Measurement = param(
@@ -92,7 +92,7 @@ class ParticleFilter(Compiled, Filter):
         least=0,
         most=1,
     )
-    engine: str = engine_param("double")
+    engine: str = engine_param(double="numpy along the kernel's draws")
     tile = 1  # one replication at a time: the particles are the batch
     kernels = KERNELS
 

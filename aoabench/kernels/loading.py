@@ -12,13 +12,12 @@ from typing import Any, ClassVar
 from aoabench.params import param
 from aoabench.types import Anchors
 
-ENGINES = ("auto", "numpy")
 
-
-def engine_param(*more: str) -> Any:
-    """The parameter `engine` of an estimator with kernels; `more` choices beside the usual ones."""
-    help = "auto: compiled kernels where there are some; numpy: without them"
-    return param("auto", help, choices=(*ENGINES, *more))
+def engine_param(**more: str) -> Any:
+    """The parameter `engine` of an estimator with kernels; `more` choices and their meanings."""
+    meanings = {"auto": "compiled kernels where there are some", "numpy": "none", **more}
+    help = "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items())
+    return param("auto", help, choices=tuple(meanings))
 
 
 class Compiled:

@@ -115,7 +115,7 @@ class AzElFitted(AzEl):
         "printed: the paper's deviations where it prints some, else computed; own: computed",
         choices=("printed", "own"),
     )
-    noise: Noise | None = param(None, "to which the deviations are fitted", kind=Noise)
+    noise: Noise | None = param(None, "the noise to which the deviations are fitted", kind=Noise)
     kernel = "azel"
 
     def __post_init__(self) -> None:
@@ -164,7 +164,7 @@ class AzElAdaptive(AzEl):
     """
 
     noise: Noise | None = param(
-        None, "whose nominal deviation the table of Model I is made for", kind=Noise
+        None, "the noise for whose nominal deviation the table of Model I is made", kind=Noise
     )
     kernel = "azel_adaptive"
 

@@ -15,8 +15,8 @@ from aoabench.roles import Motion
 class RandomWalk(Motion):
     """theta_k = theta_{k-1} + w, w ~ N(0, dt diag(q_xy^2, q_xy^2, q_z^2)) [Nurminen 2018, (13)]."""
 
-    q_xy: float = param(0.5, "spread of x and y", unit="m/s^(1/2)", least=1e-6, most=1e6)
-    q_z: float = param(0.1, "spread of z", unit="m/s^(1/2)", least=1e-6, most=1e6)
+    q_xy: float = param(0.5, "spread in x and in y", unit="m/s^(1/2)", least=1e-6, most=1e6)
+    q_z: float = param(0.1, "spread in z", unit="m/s^(1/2)", least=1e-6, most=1e6)
 
     def matrices(self, dt: float) -> tuple[Array, Array]:
         """F (3, 3) and Q (3, 3) m^2 for a step of dt s."""

@@ -40,10 +40,19 @@ class _Angular(MountedNoise):
         None, "nominal standard deviation", unit="deg", above=0, least=1e-5, most=180
     )
     kappa: float | None = param(
-        None, "instead of sigma_deg: sigma = 1 / sqrt(kappa) rad", above=0, least=1e-6, most=1e12
+        None,
+        "nominal concentration, instead of sigma_deg: sigma = 1 / sqrt(kappa) rad",
+        above=0,
+        least=1e-6,
+        most=1e12,
     )
     default_sigma_deg: float = param(
-        10.0, "holds where neither is given", unit="deg", above=0, least=1e-5, most=180
+        10.0,
+        "nominal standard deviation where neither sigma_deg nor kappa is given",
+        unit="deg",
+        above=0,
+        least=1e-5,
+        most=180,
     )
     # fitted (azimuth, elevation) at sigma = 10 deg, where a paper prints them
     printed_fit_deg: ClassVar[tuple[float, float] | None] = None

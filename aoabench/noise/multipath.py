@@ -58,9 +58,7 @@ class _Channel(NamedTuple):
 
 @dataclass(frozen=True)
 class BleMultipath(MountedNoise):
-    """The parameters stand in the order in which they act; further anchors take the last of a list
-    for anchors.
-    """
+    """The model above; anchors and days beyond the end of a list take its last number."""
 
     azimuth_noise_deg: float = param(
         3.0,
@@ -73,9 +71,11 @@ class BleMultipath(MountedNoise):
         3.0, "standard deviation of the elevation's normal noise", unit="deg", above=0
     )
     pole_floor: float = param(
-        0.3, "that the cosine of the elevation counts as at least", least=0, most=1
+        0.3, "lower limit of the cosine that divides the azimuth's noise", least=0, most=1
     )
-    steep_deg: float = _angle(12.0, "by which an elevation at the horizon is measured too steep")
+    steep_deg: float = _angle(
+        12.0, "error by which an elevation at the horizon is measured too steep"
+    )
     steep_power: float = param(
         2.0, "power of (angle from the pole / 90 deg) by which that error falls", least=0
     )
@@ -105,7 +105,7 @@ class BleMultipath(MountedNoise):
     )
     pull: Sequence[float] = _each_anchor(
         (0.3,),
-        "strength s of each anchor's wall images: directions go to them by 1 - exp(-s e), "
+        "strength s of each anchor's wall images: directions go there by 1 - exp(-s e), "
         "e exponential of mean 1",
     )
     pull_spread: float = param(

@@ -74,7 +74,9 @@ class OfdmCrlb(MountedNoise):
         most=1e9,
     )
     an_sigma_m: float = _length(0.0, "standard deviation of an AN's known position in x and in y")
-    an_beta: float = param(10.0, "by which that deviation is smaller in z", above=0, most=1e6)
+    an_beta: float = param(
+        10.0, "factor by which that deviation is smaller in z", above=0, most=1e6
+    )
     an_error: str = param(
         "independent",
         "errors of the known positions: independent for each AN, or one common to all",
@@ -82,7 +84,7 @@ class OfdmCrlb(MountedNoise):
     )
     as_printed: Sequence[str] = param(
         (),
-        "errata to run as printed: gain, (8) takes the beamforming gain a second time",
+        "errata to run as printed: gain: (8) takes the beamforming gain a second time",
         choices=PRINTED,
     )
 

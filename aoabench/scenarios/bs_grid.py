@@ -34,7 +34,11 @@ class BsGrid(Scenario):
     anchors: AnchorLayout = layout_param()
     positions: int = param(1000, "number of points", least=1, most=1_000_000)
     size_m: tuple[float, float, float] = size_param((1000.0, 1000.0, 20.0))
-    zone: str = param("strip", "how points keep from the base stations, see above", choices=ZONES)
+    zone: str = param(
+        "strip",
+        "around each base station: strip and disc are kept free, on the ring lie all points",
+        choices=ZONES,
+    )
     clearance_m: float = param(
         20.0,
         "distance kept: in x and in y (strip), at least (disc) or exactly (ring) horizontally",

@@ -48,7 +48,9 @@ class IndoorMap(Scenario):
         help="file of the ANs, with the columns x_m, y_m, z_m, facing_deg",
         allowed="an existing file",
     )
-    route: Sequence[Sequence[float]] = param(help="waypoints, K rows", unit="m", shape=(None, 2))
+    route: Sequence[Sequence[float]] = param(
+        help="waypoints, a row x, y for each", unit="m", shape=(None, 2)
+    )
     motion: Motion = param(
         help="what filters believe of the target's way", kind=Motion, allowed=STATE
     )
@@ -76,16 +78,18 @@ class IndoorMap(Scenario):
     prior_sigma_xy_m: float = _prior_sigma(
         1.0, "standard deviation in x and in y of the mean that filters start from", "m"
     )
-    prior_sigma_z_m: float = _prior_sigma(0.1, "standard deviation in z of that mean", "m")
+    prior_sigma_z_m: float = _prior_sigma(
+        0.1, "standard deviation in z of the mean that filters start from", "m"
+    )
     prior_sigma_velocity_m_s: float = _prior_sigma(
-        1.0, "standard deviation of the velocity around its mean 0", "m/s"
+        1.0, "standard deviation of the first velocity, whose mean is 0", "m/s"
     )
     prior_sigma_acceleration_m_s2: float = _prior_sigma(
-        0.5, "standard deviation of the acceleration around its mean 0", "m/s^2"
+        0.5, "standard deviation of the first acceleration, whose mean is 0", "m/s^2"
     )
     truth_from: str = param(
         "route",
-        "route: the way through the waypoints; model: states drawn from the prior and the motion",
+        "the route through the waypoints, or model: states drawn from the prior and the motion",
         choices=("route", "model"),
     )
     steps: int | None = param(

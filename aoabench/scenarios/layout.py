@@ -15,14 +15,14 @@ from aoabench.types import Anchors
 
 @dataclass(frozen=True)
 class AnchorLayout(CheckedParams):
-    """B anchors. The further rotation G turns each anchor's own one: R_j becomes G R_j."""
+    """B anchors. `frame_rpy_deg` is a rotation G of all their frames: R_j becomes G R_j."""
 
     position_m: Sequence[Sequence[float]] = param(
-        help="where the anchors are, B rows", unit="m", shape=(None, 3)
+        help="positions, a row for each anchor", unit="m", shape=(None, 3)
     )
     facing: Sequence[Sequence[float]] | None = param(
         None,
-        "where each anchor's pole (elevation 90 deg) looks, B rows; null: up, "
+        "direction of the pole (elevation 90 deg), a row for each anchor; null: up, "
         "every frame is the global one",
         shape=(None, 3),
     )

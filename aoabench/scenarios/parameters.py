@@ -15,12 +15,12 @@ def name_param() -> Any:
 
 def layout_param() -> Any:
     """The parameter `anchors` that is a layout."""
-    return param(help="where the anchors are and how they are turned", kind=AnchorLayout)
+    return param(help="positions and orientations of the anchors", kind=AnchorLayout)
 
 
 def size_param(default: tuple[float, float, float]) -> Any:
     """The parameter `size_m`."""
-    return param(default, "length, width and height", unit="m", shape=(3,), above=0)
+    return param(default, "extent in x, y and z", unit="m", shape=(3,), above=0)
 
 
 def dt_param(default: float) -> Any:

@@ -25,28 +25,37 @@ from aoabench.scenarios.parameters import name_param
 from aoabench.types import Anchors, Measurements
 
 
-def _column(help: str) -> Any:
-    return param(None, help, allowed="the name of a column, or null")
+def _column(help: str, default: str) -> Any:
+    allowed = "the name of a column, or null"
+    return param(None, f"column of {help}; null: {default}, if there is one", allowed=allowed)
 
 
 @dataclass(frozen=True)
 class Columns(CheckedParams):
-    """What the file calls our columns; null: the default name (see Recorded.names), if the file has
-    it.
+    """What the file calls our columns. It must have azimuth, anchor, and fix or time. Where an
+    angle is empty, it was not measured.
     """
 
-    azimuth: str | None = _column("azimuths, which must be there; empty: not measured")
-    elevation: str | None = _column("elevations; empty: not measured")
-    anchor: str | None = _column("which anchor, which must be there")
-    fix: str | None = _column("number or text of the fix: its rows belong together; before time")
-    time: str | None = _column("numbers, or dates and times (ISO 8601), by one clock")
-    rssi: str | None = _column("signal strengths in dBm")
-    azimuth_sigma: str | None = _column("standard deviation of the azimuth that the device states")
-    elevation_sigma: str | None = _column("standard deviation of the elevation, likewise")
-    heading: str | None = _column("heading of the mobile in deg, where heading_deg is null")
-    x: str | None = _column("x of the true position in m, where it is known")
-    y: str | None = _column("y of the true position in m")
-    z: str | None = _column("z of the true position in m")
+    azimuth: str | None = _column("azimuths", "azimuth_deg or azimuth_rad")
+    elevation: str | None = _column("elevations", "elevation_deg or elevation_rad")
+    anchor: str | None = _column("the anchors' ids", "anchor")
+    fix: str | None = _column("the fixes' numbers or names, which goes before time", "fix")
+    time: str | None = _column(
+        "times by one clock, numbers or dates and times (ISO 8601)", "time_s, or by time_unit"
+    )
+    rssi: str | None = _column("signal strengths in dBm", "rssi_dbm")
+    azimuth_sigma: str | None = _column(
+        "the azimuths' standard deviations", "azimuth_sigma_deg or azimuth_sigma_rad"
+    )
+    elevation_sigma: str | None = _column(
+        "the elevations' standard deviations", "elevation_sigma_deg or elevation_sigma_rad"
+    )
+    heading: str | None = _column(
+        "the mobile's heading in deg, where heading_deg is null", "heading_deg"
+    )
+    x: str | None = _column("x of the true positions in m", "x_m")
+    y: str | None = _column("y of the true positions in m", "y_m")
+    z: str | None = _column("z of the true positions in m", "z_m")
 
 
 @dataclass(frozen=True)
@@ -111,13 +120,13 @@ class Recorded(Scenario):
     elevation_unit: str = param("deg", "unit of elevations", choices=tuple(log.TURN))
     elevation_kind: str = param(
         "elevation",
-        "elevation: up from the horizontal; depression: down; zenith: from straight up; "
-        "none: there are none",
+        "elevation: up from the horizontal; depression: down from it; zenith: from straight up; "
+        "none: not used",
         choices=("elevation", "depression", "zenith", "none"),
     )
     elevation_limit_deg: float = param(
         90.0,
-        "beyond it an elevation is a mistake; simulated angles that no pole folds need 180",
+        "largest elevation that is no mistake; simulated angles that no pole folds need 180",
         unit="deg",
         above=0,
         most=180,
@@ -135,7 +144,7 @@ class Recorded(Scenario):
     )
     measured_by: str = param(
         "anchor",
-        "anchor: angles are directions of the mobile; mobile: directions of the anchors",
+        "who measured: an anchor, the direction of the mobile; or the mobile, those of the anchors",
         choices=("anchor", "mobile"),
     )
     heading_deg: float | None = param(

@@ -30,7 +30,7 @@ class Room(Scenario):
     name: str = name_param()
     anchors: AnchorLayout = layout_param()
     points_m: Sequence[Sequence[float]] = param(
-        help="the reference points, N rows", unit="m", shape=(None, 2)
+        help="the reference points, a row x, y for each", unit="m", shape=(None, 2)
     )
     size_m: tuple[float, float, float] = size_param((7.2, 8.5, 3.0))
     height_m: float = param(

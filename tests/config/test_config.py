@@ -21,7 +21,7 @@ from aoabench.resources import shipped
     "aoabench.store.files.os.remove",
     "aoabench.noise.angular.np.load",
     "aoabench.noise.angular.math.exp",
-    "aoabench.noise.angular.check_number",
+    "aoabench.noise.angular.param",
     "aoabench.noise.angular.Any",
     "aoabench.noise.angular._Angular",
     "aoabench.noise.angular.Measurements",

@@ -17,6 +17,7 @@ from aoabench.models.azel import AzEl
 from aoabench.models.motion import ConstantAcceleration, RandomWalk
 from aoabench.params import CheckedParams, param
 from aoabench.scenarios.layout import AnchorLayout
+from aoabench.scenarios.square_track import SquareTrack
 
 INNER = {"RoundedRoute", "KernelDraws"}  # what plug-ins make for themselves
 
@@ -266,6 +267,13 @@ def test_the_config_names_the_whole_path():
         assert str(error.value).startswith(f"scenario.{named} is not allowed; allowed: ")
 
 
+def test_a_motion_model_has_the_state_of_the_scenario():
+    for motion in (ConstantAcceleration(1.0), None):
+        with pytest.raises(BadValue, match=r"^motion=.* is not allowed"):
+            SquareTrack("own", LAYOUT, motion)
+    assert SquareTrack("own", LAYOUT, RandomWalk()).steps == 64
+
+
 # --- the mechanism --------------------------------------------------------------------------------
 
 
@@ -275,6 +283,12 @@ def test_the_config_names_the_whole_path():
 )
 def test_a_type_without_a_check_cannot_be_declared(annotation):
     body = {"__annotations__": {"x": annotation}, "x": param(None, "anything")}
+    with pytest.raises(TypeError, match="no check"):
+        type("Odd", (CheckedParams,), body)
+
+
+def test_an_object_must_be_of_the_annotated_class():
+    body = {"__annotations__": {"x": "Noise | None"}, "x": param(None, "anything", kind=AzEl)}
     with pytest.raises(TypeError, match="no check"):
         type("Odd", (CheckedParams,), body)
 
@@ -299,6 +313,16 @@ def test_annotations_may_be_types():
         ("names", ["c"], "names='c' is not allowed; allowed: one of a, b"),
         ("free", -1, "free=-1 is not allowed; allowed: a number >= 0, or free"),
         ("free", "bound", "free='bound' is not allowed; allowed: a number >= 0, or free"),
+        (
+            "free",
+            np.array(["free"] * 2),
+            "free=array(['free', 'free'], dtype='<U4') is not allowed; allowed: a number >= 0, or free",
+        ),
+        (
+            "names",
+            [np.array(["a"] * 2)],
+            "names=array(['a', 'a'], dtype='<U1') is not allowed; allowed: one of a, b",
+        ),
     ):
         with pytest.raises(BadValue) as error:
             Own(**{key: value})

@@ -114,6 +114,31 @@ CASES = [
         ["scenario.anchors.facing", "length > 0"],
     ),
     (["run", F, "scenario.anchors.frame_rpy_deg=[1,2]"], ["frame_rpy_deg", "3"]),
+    (
+        ["run", F, "scenario.anchors.position_m=[[true,0,0]]"],
+        ["scenario.anchors.position_m=", "True"],
+    ),
+    (
+        ["run", F, "scenario=ble_room", "scenario.size_m=[0,1,1]"],
+        ["scenario.size_m=[0, 1, 1]", "3 finite numbers > 0"],
+    ),
+    (
+        ["run", F, "scenario=bs_grid", "scenario.size_m=[9,9]"],
+        ["scenario.size_m=[9, 9]", "3 finite numbers > 0"],
+    ),
+    (["run", F, "scenario=bs_grid", "+scenario.dt=0"], ["scenario.dt=0", ">= 1e-06"]),
+    (
+        ["run", F, "scenario=ble_room", "scenario.points_m=[[9,1]]"],
+        ["scenario.points_m[0]=[9.0, 1.0]"],
+    ),
+    (
+        ["run", "estimator=[ls_lines]", "estimator.ls_lines.clip=5"],
+        ["estimator.ls_lines.clip=5", "true or false"],
+    ),
+    (
+        ["run", "estimator=[vmf_ml]", "estimator.vmf_ml.clip=no way"],
+        ["estimator.vmf_ml.clip='no way'", "true or false"],
+    ),
     (["run", F, "scenario.motion=null"], ["scenario", "motion"]),
     (["run", F, "noise=null"], ["noise=null", "must be a string"]),
     (["run", F, "noise.sigma_deg=2,5"], ["noise.sigma_deg=2,5", "-m"]),
@@ -126,9 +151,12 @@ CASES = [
     (["run", F, "seed=99999999999999999999"], ["seed", "99999999999999999999"]),
     (["run", F, "scenario.anchors=null"], ["scenario"]),
     (["run", F, "scenario.anchors=3"], ["scenario"]),
-    (["run", F, "scenario.motion=3"], ["scenario.motion", "matrices"]),
+    (["run", F, "scenario.motion=3"], ["scenario.motion=3", "derive from aoabench.Motion"]),
     (["run", F, "scenario.name=null"], ["scenario.name", "text"]),
-    (["run", F, "filter.ekf_vmf.measurement=null"], ["filter.ekf_vmf.measurement", "observe"]),
+    (
+        ["run", F, "filter.ekf_vmf.measurement=null"],
+        ["filter.ekf_vmf.measurement=None", "derive from aoabench.Measurement"],
+    ),
     (["run", F, "store=3"], ["store", "steps"]),
     (["run", F, "~runner.out"], ["runner.out", "missing"]),
     (["run", F, "plugins=@x"], ["plugins"]),
