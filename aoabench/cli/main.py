@@ -6,6 +6,7 @@ Exit status: 0 done, 2 the user's mistake (one line), 129 hung up, 130 interrupt
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -88,6 +89,8 @@ for _command in (run, list_presets, compare, collect, replay, reproduce, report,
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Entry point of `aoabench`."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # one that does not know ± or the name of a file
+        sys.stdout.reconfigure(errors="backslashreplace")
     with _signals() as received:
         try:
             sys.exit(dispatch(arguments))

@@ -1,5 +1,6 @@
 """Exit status, help of each command, and signals."""
 
+import io
 import os
 import signal
 import time
@@ -136,6 +137,18 @@ def test_a_terminal_that_is_gone_changes_no_status(monkeypatch):
     with pytest.raises(SystemExit) as stop:
         main(["rnu"])
     assert stop.value.code == 2
+
+
+def test_an_output_that_knows_ascii_only(tmp_path, monkeypatch):
+    (tmp_path / "noise").mkdir()
+    (tmp_path / "noise" / "mine.yaml").write_text("# 3° ± 1°\n", encoding="utf-8")
+    written = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(written, encoding="ascii"))
+    with pytest.raises(SystemExit) as stop:
+        main(["list", "noise", "--config-dir", str(tmp_path)])
+    assert stop.value.code == 0
+    main_module.sys.stdout.flush()
+    assert rb"3\xb0 \xb1 1\xb0" in written.getvalue()
 
 
 def test_dispatch_returns_the_status_and_raises_user_errors(capsys):
