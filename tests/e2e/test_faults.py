@@ -6,33 +6,29 @@ those of a run that nobody disturbed, bit for bit.
 """
 
 import errno
-import multiprocessing
 import os
 import random
+import shutil
 import signal
 import subprocess
-import sys
-import tempfile
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 
 import pandas as pd
 import psutil
 import pytest
 
 from aoabench import RunError
-from aoabench.cli.main import main
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.store.parts import intact_parts
+from tests.commands import PATIENCE_S, Command
 
 WORDS = ["noise=vmf", "filter=[pf_vmf,pf_ae_nominal]", "filter.pf_vmf.particles=1000", "filter.pf_ae_nominal.particles=1000",
          "reps=400", "runner.chunk=4"]  # fmt: skip
 PARTS = 200  # of two filters
 KILLS = 20
-PATIENCE_S = 30  # for a machine under heavy load
 
 
 def tables(out):
@@ -68,59 +64,6 @@ def assert_each_once(out):
         assert sum(part.stop - part.start for part in parts) == 400, "overlapping parts"
 
 
-def _command(words, said):
-    """`aoabench run` in a process and process group of its own, which says things to a file."""
-    os.setsid()
-    for stream, target in ((1, os.devnull), (2, said)):
-        os.dup2(os.open(target, os.O_WRONLY | os.O_CREAT), stream)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    os.environ["PYTHONWARNINGS"] = (
-        "ignore"  # of what the short end below leaves to the resource tracker
-    )
-    try:
-        main(["run", *words])
-    except SystemExit as end:
-        sys.stderr.flush()
-        os._exit(
-            end.code
-            # past multiprocessing's own end, which waits for threads that only an interpreter's end
-            # ends
-        )
-
-
-# each command is forked from one process that has imported everything: a second less for each
-_forks = multiprocessing.get_context("forkserver")
-_forks.set_forkserver_preload(["aoabench.cli.main", "aoabench.config.compose", "aoabench.engine.runner", "aoabench.kernels.particle",
-                               "hydra", "pandas", "pyarrow.parquet", "joblib", "rich.progress", "tests.e2e.test_faults"])  # fmt: skip
-
-
-class Command:
-    """A running `aoabench run`."""
-
-    def __init__(self, *words):
-        self.said = Path(tempfile.mkstemp()[1])
-        self.process = _forks.Process(target=_command, args=(words, str(self.said)))
-        self.process.start()
-        self.pid = self.process.pid
-
-    def running(self):
-        return self.process.is_alive()
-
-    def finished(self):
-        """Exit status and what was said, which is never a traceback."""
-        self.process.join(PATIENCE_S)
-        said = self.said.read_text()
-        self.said.unlink()
-        assert "Traceback" not in said, said
-        return self.process.exitcode, said
-
-    def workers(self):
-        with suppress(psutil.NoSuchProcess):
-            children = psutil.Process(self.pid).children(recursive=True)
-            return [child for child in children if "popen_loky" in " ".join(child.cmdline())]
-        return []
-
-
 def wait_for(condition, command=None):
     deadline = time.monotonic() + PATIENCE_S
     while not (found := condition()):
@@ -144,8 +87,8 @@ def reference(tmp_path_factory):
 
 @pytest.mark.slow
 def test_killed_at_twenty_random_moments(reference, tmp_path):
-    """Fifteen times the parent, five times a worker, then Ctrl-C; a quarter of them while the run
-    starts.
+    """Fifteen times the parent, once with workers, five times a worker, then Ctrl-C; a quarter of
+    them while the run starts.
     """
     moments = random.Random(20180710)
     words = [*WORDS, f"runner.out={tmp_path}"]
@@ -156,7 +99,7 @@ def test_killed_at_twenty_random_moments(reference, tmp_path):
     for number in range(KILLS + 1):
         before = seals(tmp_path)
         worker_dies = number % 4 == 1
-        jobs = 2 if worker_dies or number in (0, KILLS) else 1
+        jobs = 2 if worker_dies or number == 0 else 1
         command = Command(*words, f"runner.n_jobs={jobs}")
         if number % 4 == 3:
             time.sleep(moments.uniform(0, 0.5))
@@ -175,7 +118,7 @@ def test_killed_at_twenty_random_moments(reference, tmp_path):
             orphans = command.workers()
             os.kill(command.pid, signal.SIGKILL)
             assert command.finished()[0] == -signal.SIGKILL
-            psutil.wait_procs(orphans, timeout=10)
+            psutil.wait_procs(orphans, timeout=PATIENCE_S)
             assert not [o for o in orphans if o.is_running() and o.status() != psutil.STATUS_ZOMBIE]
         else:
             os.killpg(command.pid, signal.SIGINT)
@@ -184,7 +127,7 @@ def test_killed_at_twenty_random_moments(reference, tmp_path):
         assert_kept(before, tmp_path)
     before = seals(tmp_path)
     assert len(before) < PARTS, "there was something left to do"
-    assert Command(*words).finished()[0] == 0
+    assert Command(*words, "runner.n_jobs=1").finished()[0] == 0
     assert_kept(before, tmp_path)
     assert_each_once(tmp_path)
     assert_same(tmp_path, reference)
@@ -308,12 +251,12 @@ def test_a_worker_without_memory(tmp_path, monkeypatch):
     words = ["estimator=[hungry]", "filter=[ekf_vmf]", "reps=400", "runner.chunk=128",
              "--config-dir", "conf", "plugins=[my_hungry]"]  # fmt: skip
     assert Command(*words, "runner.n_jobs=1", "runner.out=undisturbed").finished()[0] == 0
-    for how, match in (
-        ("hungry", "out of memory (Unable to allocate"),
-        ("killed", "a worker process was killed"),
+    for how, jobs, match in (
+        ("hungry", 1, "out of memory (Unable to allocate"),
+        ("killed", 2, "a worker process was killed"),
     ):
         (tmp_path / how).touch()
-        status, said = Command(*words, "runner.n_jobs=2", "runner.out=out").finished()
+        status, said = Command(*words, f"runner.n_jobs={jobs}", "runner.out=out").finished()
         assert status == 1
         assert match in said
         assert "what was finished is kept" in said
@@ -340,13 +283,21 @@ def small(out, reps=40):
     return runner.run(compose_cells([*words, f"runner.out={out}"]), progress=False)
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A small run that nobody touches, and its tables."""
+    out = tmp_path_factory.mktemp("whole")
+    small(out)
+    return out, tables(out)
+
+
 @pytest.mark.parametrize(("file", "how"), [
     *[("parquet", how) for how in ("first byte", "middle byte", "last byte", "truncated", "deleted")],
     *[("json", how) for how in ("middle byte", "truncated", "emptied", "deleted")],
 ])  # fmt: skip
-def test_an_altered_part_is_found_computed_again_and_reported(file, how, tmp_path, capsys):
-    small(tmp_path)
-    before = tables(tmp_path)
+def test_an_altered_part_is_found_computed_again_and_reported(file, how, whole, tmp_path, capsys):
+    shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
+    before = whole[1]
     victim = sorted((tmp_path / "parts").glob(f"*/000000010-*.{file}"))[0]
     data = bytearray(victim.read_bytes())
     place = {"first byte": 0, "middle byte": len(data) // 2, "last byte": -1}.get(how)

@@ -103,7 +103,7 @@ def test_an_exception_costs_its_replication_and_no_bit_of_the_others(how, luck, 
 
 
 def test_nan_that_claims_to_be_a_position_is_told_as_well(luck):
-    frame = aoabench.run(*WORDS, out="out", **luck(nan=[7, 299]))
+    frame = aoabench.run(*WORDS, "runner.n_jobs=1", out="out", **luck(nan=[7, 299]))
     mine = frame[frame["estimator"] == "luck"].set_index("replication")
     assert list(mine.index[mine["outcome"] == "failed"]) == [7, 299]
     told = pd.read_parquet("out/failures.parquet")
@@ -168,9 +168,9 @@ def test_a_cell_that_stops_does_not_stop_another(luck):
 
 
 def test_an_estimator_that_fails_always_is_stopped_early(luck):
-    with pytest.raises(aoabench.RunError, match="failed in 256 of 256 replications"):
-        aoabench.run("estimator=[luck]", "reps=100000", "runner.chunk=256", "runner.n_jobs=1", out="out",
-                     **luck(raises=range(5000)))  # fmt: skip
+    with pytest.raises(aoabench.RunError, match="failed in 128 of 128 replications"):
+        aoabench.run("estimator=[luck]", "reps=100000", "runner.chunk=128", "runner.n_jobs=1", out="out",
+                     **luck(raises=range(5000), tile=16))  # fmt: skip
 
 
 def test_declared_failures_never_stop_a_run(tmp_path):
@@ -181,7 +181,8 @@ def test_declared_failures_never_stop_a_run(tmp_path):
         "scenario.anchors.position_m=[[0,0,0],[0,0,0]]",
         "scenario.anchors.facing=[[1,0,0],[1,0,0]]",
     ]
-    frame = aoabench.run("estimator=[ls]", *words, "runner.max_failed=0", "reps=10", out=tmp_path)
+    words += ["runner.n_jobs=1", "runner.max_failed=0"]
+    frame = aoabench.run("estimator=[ls]", *words, "reps=10", out=tmp_path)
     assert (frame["n_failed"] == 64).all()
     told = pd.read_parquet(tmp_path / "failures.parquet")
     assert len(told) == 10

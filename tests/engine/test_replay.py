@@ -28,7 +28,7 @@ def run(out, *words):
 
 @pytest.fixture(scope="module")
 def track(tmp_path_factory):
-    return run(tmp_path_factory.mktemp("track"), *TRACK, "store.steps=true")
+    return run(tmp_path_factory.mktemp("track"), *TRACK, "store.steps=true", "runner.n_jobs=1")
 
 
 def traced(out, name, replication):
@@ -164,6 +164,7 @@ def test_the_worst_are_named_with_the_command_that_replays_them(tmp_path, capsys
         "noise=vmf,ae_flip",
         "filter=[ekf_vmf,ekf_ae_nominal]",
         "reps=30",
+        "runner.n_jobs=1",
         f"runner.out={tmp_path}",
         "--worst",
         "3",

@@ -16,6 +16,7 @@ from aoabench.store import keys
 from aoabench.store.files import read_provenance
 from aoabench.store.keys import _parsed, draws_key, part_key, source_hash
 from aoabench.store.parts import missing_ranges
+from tests.commands import Command
 
 BASE = ["noise=ae_flip", "filter=[ekf_vmf,ukf_ae_adaptive]"]
 
@@ -601,18 +602,11 @@ def test_equal_numbers_have_equal_keys(tmp_path):
 
 def test_two_runs_into_one_folder_at_once_keep_each_others_results(tmp_path):
     """Five rounds of two processes with different estimators and noises."""
-    import subprocess
-    import sys
-
     for i in range(5):
         out = tmp_path / str(i)
         words = [["filter=[ekf_vmf]", "noise=vmf"], ["filter=[ukf_vmf]", "noise=vmf,ae_flip", "-m"]]
-        jobs = [
-            subprocess.Popen([sys.executable, "-m", "aoabench.cli", "run", *w, "reps=2", "runner.n_jobs=1", f"runner.out={out}"],
-                             stdout=subprocess.DEVNULL)
-            for w in words
-        ]  # fmt: skip
-        assert [job.wait() for job in jobs] == [0, 0]
+        jobs = [Command(*w, "reps=2", "runner.n_jobs=1", f"runner.out={out}") for w in words]
+        assert [job.finished()[0] for job in jobs] == [0, 0]
         frame = aoabench.load(out)
         assert set(zip(frame["noise"], frame["estimator"])) == {
             ("vmf", "ekf_vmf"),
