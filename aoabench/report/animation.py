@@ -44,56 +44,51 @@ def frame(
     believes in.
     """
     figure, axis = plots.new(plots.COLUMN, plots.COLUMN)
-    position, facing = np.array(anchors["position_m"], dtype=float), anchors.get("facing")
-    if facing is not None:
-        for place, pole in zip(position, np.array(facing, dtype=float)):
-            axis.plot(
-                *np.stack([place, place + 20 * pole])[:, :2].T, color=plots.GREY, ls=":", lw=0.7
-            )
-    axis.plot(
-        position[:, 0], position[:, 1], "X", color=plots.GREY, ms=6, label="anchor and its pole"
-    )
-    truth = next(iter(traces.values()))[: step + 1]
-    axis.plot(truth["true_x_m"], truth["true_y_m"], color="black", lw=0.8)
-    axis.plot(
-        truth["true_x_m"].iloc[-1],
-        truth["true_y_m"].iloc[-1],
-        "o",
-        color="black",
-        ms=5,
-        label="truth",
-    )
+    position = np.array(anchors["position_m"], dtype=float)
+    _anchors(axis, position, anchors.get("facing"))
+    _truth(axis, next(iter(traces.values()))[: step + 1])
     for name, trace in traces.items():
-        family, _, model = name.partition("_")
-        colour = plots.COLOURS.get(model, plots.GREY)
-        rows = trace[max(0, step - tail) : step + 1]
-        label = f"{family.upper()}-{plots.LABELS.get(model, model)}"
-        axis.plot(
-            rows["x_m"],
-            rows["y_m"],
-            color=colour,
-            marker=plots.MARKERS.get(model, "o"),
-            ms=2.5,
-            lw=0.9,
-            label=label,
-        )
-        axis.fill(*ellipse(rows.iloc[-1]).T, facecolor=colour, alpha=0.25, edgecolor=colour, lw=1.0)
+        _estimate(axis, name, trace[max(0, step - tail) : step + 1])
     low, high = position[:, :2].min(axis=0), position[:, :2].max(axis=0)
-    axis.set(
-        xlabel="x [m]",
-        ylabel="y [m]",
-        xlim=(low[0] - 1, high[0] + 1),
-        ylim=(low[1] - 2, high[1] + 2),
-    )
-    axis.set(aspect="equal", title="95 % ellipses as each filter believes them")
+    axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axis.set(xlim=(low[0] - 1, high[0] + 1), ylim=(low[1] - 2, high[1] + 2))
+    axis.set(title="95 % ellipses as each filter believes them")
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
+
+
+def _anchors(axis: Any, position: np.ndarray, facing: Any) -> None:
+    """Draw anchors (B, 3) m, and 20 m of the axis of each pole (B, 3) if they are known."""
+    if facing is not None:
+        ends = position + 20 * np.array(facing, dtype=float)
+        for line in np.stack([position, ends], axis=1)[..., :2]:
+            axis.plot(*line.T, color=plots.GREY, ls=":", lw=0.7)
+    label = "anchor and its pole"
+    axis.plot(position[:, 0], position[:, 1], "X", color=plots.GREY, ms=6, label=label)
+
+
+def _truth(axis: Any, trace: pd.DataFrame) -> None:
+    """Draw the true positions of a trace, with a dot at the last."""
+    x, y = trace["true_x_m"], trace["true_y_m"]
+    axis.plot(x, y, color="black", lw=0.8)
+    axis.plot(x.iloc[-1], y.iloc[-1], "o", color="black", ms=5, label="truth")
+
+
+def _estimate(axis: Any, name: str, trace: pd.DataFrame) -> None:
+    """Draw an estimator's positions, with its ellipse about the last."""
+    family, _, model = name.partition("_")
+    colour = plots.COLOURS.get(model, plots.GREY)
+    look = {"color": colour, "marker": plots.MARKERS.get(model, "o"), "ms": 2.5, "lw": 0.9}
+    label = f"{family.upper()}-{plots.LABELS.get(model, model)}"
+    axis.plot(trace["x_m"], trace["y_m"], label=label, **look)
+    outline = ellipse(trace.iloc[-1])
+    axis.fill(*outline.T, facecolor=colour, alpha=0.25, edgecolor=colour, lw=1.0)
 
 
 def write(
     traces: Mapping[str, pd.DataFrame], anchors: Mapping[str, Any], path: Path, dpi: int = 120
 ) -> Path:
-    """The GIF of all steps."""
+    """Write the GIF of all steps to `path`, which is returned."""
     import matplotlib.pyplot as plt
     from PIL import Image
 

@@ -34,39 +34,47 @@ def write(
     anchors: np.ndarray,
     bounds: Any = None,
 ) -> list[Path]:
-    """Draw <out>/figures/<cell>-cdf.png and -median_map.png from a run's stored fixes; nothing
-    without ground truth.
+    """Draw <out>/figures/<cell>-cdf.png and -median_map.png from a run's stored fixes, and return
+    their paths; nothing without ground truth.
 
     truth (T, 2) m, the same in all replications, NaN where it is not known; anchors (B, 2) m;
     bounds (2, 2) m or None.
     """
-    import pandas as pd
-
     known = np.isfinite(truth).all(axis=1)
     if not known.any():
         return []
-    errors = {}
-    for name in estimators:
-        fixes = fixes_module.fixes(out, cell, name)
-        given = ~np.isin(fixes.outcome, [Outcome.FAILED, Outcome.REJECTED])
-        errors[name] = np.where(given, fixes.error_xy_m, np.nan)[:, known].astype(float)
-    points, place = places(truth[known])
-    if len(points) <= MOST_POINTS:
-        R = len(next(iter(errors.values())))
-        where = np.tile(place, R)
-        medians = {
-            n: pd.Series(e.ravel()).groupby(where).median().to_numpy() for n, e in errors.items()
-        }
-        maps = lambda: median_maps(points, medians, anchors, bounds)  # noqa: E731
-    else:
-        first = {n: e[0] for n, e in errors.items()}
-        maps = lambda: track_maps(truth[known], first, anchors, bounds)  # noqa: E731
-    folder = out / "figures"
+    errors = {name: _errors(out, cell, name)[:, known] for name in estimators}
     flat = {n: e.ravel() for n, e in errors.items()}
+    distribution, where = (out / "figures" / f"{cell}-{n}.png" for n in ("cdf", "median_map"))
     return [
-        plots.save(lambda: cdf(flat), folder / f"{cell}-cdf.png"),
-        plots.save(maps, folder / f"{cell}-median_map.png"),
+        plots.save(lambda: cdf(flat), distribution),
+        plots.save(lambda: maps(truth[known], errors, anchors, bounds), where),
     ]
+
+
+def _errors(out: Path, cell: str, estimator: str) -> np.ndarray:
+    """Errors in the plane (R, T) m of the positions that an estimator gives, NaN for the others."""
+    fixes = fixes_module.fixes(out, cell, estimator)
+    given = ~np.isin(fixes.outcome, [Outcome.FAILED, Outcome.REJECTED])
+    return np.where(given, fixes.error_xy_m, np.nan).astype(float)
+
+
+def maps(
+    truth: np.ndarray, errors: Mapping[str, np.ndarray], anchors: np.ndarray, bounds: Any = None
+) -> Figure:
+    """Maps of the median errors at the true positions (T, 2) m; of a track, of the errors (R, T) m
+    in the first replication.
+    """
+    import pandas as pd
+
+    points, place = places(truth)
+    if len(points) > MOST_POINTS:
+        return track_maps(truth, {n: e[0] for n, e in errors.items()}, anchors, bounds)
+    medians = {}
+    for name, e in errors.items():
+        where = np.tile(place, len(e))
+        medians[name] = pd.Series(e.ravel()).groupby(where).median().to_numpy()
+    return median_maps(points, medians, anchors, bounds)
 
 
 def places(
@@ -170,40 +178,32 @@ def track_maps(
     no position.
     """
     thin = slice(None, None, -(-len(points) // MOST_DRAWN))
-    points, errors = (
-        points[thin],
-        {name: np.asarray(error, dtype=float)[thin] for name, error in errors.items()},
-    )
+    points = points[thin]
+    errors = {name: np.asarray(error, dtype=float)[thin] for name, error in errors.items()}
     extent = _extent(points, anchors, bounds)
     figure, axes, _ = _panels(len(errors), extent)
     norm = _norm(np.concatenate(list(errors.values())))
     for axis, (name, error) in zip(axes, errors.items()):
+        if _is_a_way(points, extent):
+            axis.plot(*points.T, color="0.8", linewidth=0.5, zorder=1)
         given = np.isfinite(error)
-        if (
-            len(points) > 1
-            and np.median(np.hypot(*np.diff(points, axis=0).T))
-            < 0.05 * np.diff(extent, axis=0).max()
-        ):
-            axis.plot(
-                *points.T, color="0.8", linewidth=0.5, zorder=1
-            )  # one after the other, not here and there
         if not given.all():
-            axis.scatter(
-                *points[~given].T,
-                marker="x",
-                s=8,
-                linewidths=0.5,
-                color="0.4",
-                zorder=2,
-                label="no position",
-            )
-        drawn = axis.scatter(
-            *points[given].T, c=error[given], s=7, cmap=_scale(), norm=norm, linewidths=0, zorder=3
-        )
+            look = {"marker": "x", "s": 8, "linewidths": 0.5, "color": "0.4", "zorder": 2}
+            axis.scatter(*points[~given].T, label="no position", **look)
+        look = {"s": 7, "cmap": _scale(), "norm": norm, "linewidths": 0, "zorder": 3}
+        drawn = axis.scatter(*points[given].T, c=error[given], **look)
         _finish(axis, name, anchors, bounds, extent)
     figure.colorbar(drawn, ax=list(axes), label="error in the plane [m]", extend="max", shrink=0.8)
     _legend(figure, axes)
     return figure
+
+
+def _is_a_way(points: np.ndarray, extent: np.ndarray) -> bool:
+    """Whether positions (T, 2) m follow each other closely instead of jumping about the room."""
+    if len(points) < 2:
+        return False
+    step = np.median(np.hypot(*np.diff(points, axis=0).T))
+    return bool(step < 0.05 * np.diff(extent, axis=0).max())
 
 
 # --- pieces ---------------------------------------------------------------------------------------

@@ -8,53 +8,51 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from aoabench.store.compare import COLUMNS, IDENTITY
+from aoabench.store.comparison import LEVEL
+
 if TYPE_CHECKING:
     import pandas as pd
-from aoabench.store.compare import COLUMNS, IDENTITY, LEVEL
 
 
 def lines(table: pd.DataFrame) -> Iterator[str]:
     """The table of `compare` as text, a paragraph for each cell."""
-    known = [*IDENTITY, *COLUMNS, "verdict", "needed", "text"]
-    varied = [c for c in table.columns if c not in known]
-    for cell, rows in table.groupby("cell", sort=False):
-        first = rows.iloc[0]
-        where = "".join(f" {c}={first[c]}" for c in varied)
-        by = next(
-            (
-                f", clustered by {u} positions"
-                for u, b in zip(rows["units"], rows["by"])
-                if b == "position"
-            ),
-            "",
-        )
+    for _, rows in table.groupby("cell", sort=False):
         yield ""
-        level = (
-            ""
-            if math.isnan(first["baseline_mean"])
-            else f", {first['baseline']} = {first['baseline_mean']:.4g}"
-        )
-        yield (
-            f"{first['scenario']} {first['noise']}{where} (cell {cell}), "
-            f"{first['metric']}{level}{by}"
-        )
+        yield _head(rows)
         yield from (f"  {text}" for text in rows["text"])
-    if table.attrs["left_out"]:
+    left_out = table.attrs["left_out"]
+    if left_out:
         yield ""
-        yield from (
-            f"cell {cell}: nothing to compare, {why} here"
-            for cell, why in table.attrs["left_out"].items()
-        )
+    for cell, why in left_out.items():
+        yield f"cell {cell}: nothing to compare, {why} here"
+    if table.attrs["comparisons"]:
+        yield ""
+        yield from _method(table)
+
+
+def _head(rows: pd.DataFrame) -> str:
+    """The cell of some rows, the metric, the baseline with its mean, and how intervals are
+    clustered.
+    """
+    first = rows.iloc[0]
+    varied = [c for c in rows.columns if c not in (*IDENTITY, *COLUMNS)]
+    where = "".join(f" {c}={first[c]}" for c in varied)
+    known = not math.isnan(first["baseline_mean"])
+    level = f", {first['baseline']} = {first['baseline_mean']:.4g}" if known else ""
+    units = rows["units"][rows["by"] == "position"]
+    by = f", clustered by {units.iloc[0]} positions" if len(units) else ""
+    cell = f"{first['scenario']} {first['noise']}{where} (cell {first['cell']})"
+    return f"{cell}, {first['metric']}{level}{by}"
+
+
+def _method(table: pd.DataFrame) -> Iterator[str]:
+    """How intervals and p-values are to be read."""
     m = table.attrs["comparisons"]
-    if m:
-        among = (
-            "comparisons"
-            if m == np.isfinite(table["p"]).sum()
-            else "pairs, as the data picked what to compare with"
-        )
-        yield ""
-        yield f"95 % intervals, each by itself; p by Holm's method over the {m} {among}."
-        yield (
-            f"A difference is claimed where p < {LEVEL:g}; "
-            "what would show one does so with probability 0.8."
-        )
+    printed = m == np.isfinite(table["p"]).sum()
+    among = "comparisons" if printed else "pairs, as the data picked what to compare with"
+    yield f"95 % intervals, each by itself; p by Holm's method over the {m} {among}."
+    yield (
+        f"A difference is claimed where p < {LEVEL:g}; "
+        "what would show one does so with probability 0.8."
+    )

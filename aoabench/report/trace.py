@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-ELLIPSES = 40  # so many at most
+ELLIPSES = 40  # at most
+POSITIONS = ("true_x_m", "true_y_m", "x_m", "y_m")
 COMPONENTS = {
     "azimuth_rad": "azimuth",
     "elevation_rad": "elevation",
@@ -64,45 +65,43 @@ def figure(
 def _plan(
     axis: Any, frame: pd.DataFrame, anchors: np.ndarray, walls: np.ndarray | None, moving: bool
 ) -> None:
+    """Draw walls, true and estimated positions and anchors from above."""
     from matplotlib.collections import LineCollection
 
     if walls is not None:
         axis.add_collection(LineCollection(list(walls), colors="black", linewidths=0.8))
-    x, y, at, to = (frame[c].to_numpy() for c in ("true_x_m", "true_y_m", "x_m", "y_m"))
-    blue = plots.COLOURS["vmf"]
-    if moving:
-        axis.plot(x, y, color=plots.GREY, linewidth=2.2, alpha=0.7, label="truth")
-        marker = "." if len(frame) <= 300 else "none"
-        axis.plot(at, to, color=blue, marker=marker, markersize=3, linewidth=0.8, label="estimate")
-        _ellipses(axis, frame, blue)
-    else:
-        axis.plot(x, y, ".", color=plots.GREY, markersize=3, label="truth")
-        both = np.stack([np.stack([x, y], axis=-1), np.stack([at, to], axis=-1)], axis=1)
-        known = np.isfinite(both).all((1, 2))
-        axis.add_collection(
-            LineCollection(list(both[known]), colors=blue, linewidths=0.6, label="to the estimate")
-        )
-    failed = (frame["outcome"] == "failed").to_numpy()
-    if failed.any():
-        axis.plot(
-            x[failed],
-            y[failed],
-            "x",
-            color=plots.COLOURS["ae_nominal"],
-            markersize=4,
-            label="failed",
-        )
+    (_way if moving else _points)(axis, frame)
+    failed = frame[frame["outcome"] == "failed"]
+    if len(failed):
+        look = {"color": plots.COLOURS["ae_nominal"], "markersize": 4, "label": "failed"}
+        axis.plot(failed["true_x_m"].to_numpy(), failed["true_y_m"].to_numpy(), "x", **look)
     near = np.isfinite(anchors[:, :2]).all(axis=1)
-    axis.plot(
-        *anchors[near, :2].T,
-        "^",
-        color="black",
-        markersize=4 if near.sum() < 30 else 2,
-        linestyle="none",
-        label="anchors",
-    )
+    look = {"color": "black", "markersize": 4 if near.sum() < 30 else 2, "linestyle": "none"}
+    axis.plot(*anchors[near, :2].T, "^", label="anchors", **look)
     axis.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=4)
+
+
+def _way(axis: Any, frame: pd.DataFrame) -> None:
+    """Draw the true and the estimated way, with ellipses."""
+    x, y, at, to = (frame[c].to_numpy() for c in POSITIONS)
+    blue, marker = plots.COLOURS["vmf"], "." if len(frame) <= 300 else "none"
+    axis.plot(x, y, color=plots.GREY, linewidth=2.2, alpha=0.7, label="truth")
+    axis.plot(at, to, color=blue, marker=marker, markersize=3, linewidth=0.8, label="estimate")
+    _ellipses(axis, frame, blue)
+
+
+def _points(axis: Any, frame: pd.DataFrame) -> None:
+    """Draw separate true positions, each with a line to its estimate."""
+    from matplotlib.collections import LineCollection
+
+    x, y, at, to = (frame[c].to_numpy() for c in POSITIONS)
+    axis.plot(x, y, ".", color=plots.GREY, markersize=3, label="truth")
+    both = np.stack([np.stack([x, y], axis=-1), np.stack([at, to], axis=-1)], axis=1)
+    known = list(both[np.isfinite(both).all((1, 2))])
+    lines = LineCollection(known, colors=plots.COLOURS["vmf"], linewidths=0.6)
+    lines.set_label("to the estimate")
+    axis.add_collection(lines)
 
 
 def _ellipses(axis: Any, frame: pd.DataFrame, colour: str) -> None:

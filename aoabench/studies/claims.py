@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aoabench.errors import UserError
 from aoabench.maths.statistics import Estimate
+from aoabench.report.text import number_text, printed_text
 from aoabench.studies import verdict as verdict_module
+from aoabench.studies.reading import read
+from aoabench.studies.study import Study
 from aoabench.studies.verdict import (
     IN_KIND,
     NOT_COMPUTED,
@@ -19,10 +23,8 @@ from aoabench.studies.verdict import (
 
 if TYPE_CHECKING:
     import pandas as pd
-from aoabench.report.text import number_text, printed_text
-from aoabench.studies.reading import read
-from aoabench.studies.study import Study
 
+Found = dict[str, tuple[Estimate, float]]  # our numbers by id, with the samples behind each
 VERDICT_COLUMNS = (
     "study",
     "item",
@@ -46,7 +48,7 @@ def verdicts(studies: list[Study], results: Path) -> pd.DataFrame:
 
     rows = []
     for study in studies:
-        found: dict[str, tuple[Estimate, float]] = {}
+        found: Found = {}
         problems = {}
         for item in study.items:
             reading = read(study, item, results)
@@ -59,69 +61,78 @@ def verdicts(studies: list[Study], results: Path) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(VERDICT_COLUMNS))
 
 
-def _judge(
-    study: Study, entry: dict[str, Any], found: dict[str, tuple[Estimate, float]]
-) -> dict[str, Any]:
+def _judge(study: Study, entry: dict[str, Any], found: Found) -> dict[str, Any]:
+    """The row of one printed number or claim; UserError if it names an item that is not there."""
     if entry["item"] not in {item.name for item in study.items}:
         raise UserError(
             f"{study.folder / 'printed.yaml'}: {entry['id']}: "
             f"item {entry['item']!r} is not in study.yaml"
         )
-    ours, samples = found.get(entry["id"], (None, float("nan")))
+    ours, samples = found.get(entry["id"], (None, math.nan))
+    verdict, reason = _decide(entry, ours, samples, _in_kind(study, entry, found))
     claim = "claim" in entry
-    limits: Any = entry.get("printed")
-    if claim:
-        low, high = entry["claim"]
-        limits = (
-            float("-inf") if low is None else float(low),
-            float("inf") if high is None else float(high),
-        )
-    sampling = 0.0
-    if ours is not None and "printed_samples" in entry and samples == samples:
-        sampling = ours.se * (samples / entry["printed_samples"]) ** 0.5
-    group = [e for e in study.printed if e.get("group") and e.get("group") == entry.get("group")]
-    theirs = [found[e["id"]][0].value for e in group if e["id"] in found]
-    in_kind = (
-        bool(group)
-        and len(theirs) == len(group)
-        and same_order([e["printed"] for e in group], theirs)
-    )
-    strict, z, rounding = (
-        entry.get("strict", False),
-        entry.get("z", 3.0),
-        entry.get("rounding", 0.0),
-    )
-    verdict = verdict_module.verdict(
-        limits, rounding, ours, printed_se=sampling, in_kind=in_kind, strict=strict, z=z
-    )
-    reason = entry.get("reason", "") if verdict in (NOT_REPRODUCIBLE, IN_KIND) else ""
-    if ours is not None and ours.value == ours.value and ours.se != ours.se:
-        reason = "too few cases to tell a standard error"
-    if ours is not None and limits is not None and verdict != NOT_COMPUTED:
-        doubt = undecided(limits, rounding, ours, strict=strict, z=z)
-        if doubt:
-            reason = doubt
-            verdict = NOT_REPRODUCIBLE if verdict == REPRODUCED else verdict
-    if ours is not None and "tie" in entry and abs(ours.value) + z * ours.se <= entry["tie"]:
-        verdict, reason = (
-            IN_KIND,
-            f"a tie: within ± {entry['tie']:g} {entry.get('unit', '')}".strip(),
-        )
+    number = printed_text(entry.get("printed"), entry.get("rounding", 0.0))
     return {
         "study": study.name,
         "item": entry["item"],
         "id": entry["id"],
         "what": entry["what"],
-        "printed": entry.get("says", "")
-        if claim
-        else printed_text(limits, entry.get("rounding", 0.0)),
-        "ours": float("nan") if ours is None else ours.value,
-        "se": float("nan") if ours is None else ours.se,
+        "printed": entry.get("says", "") if claim else number,
+        "ours": math.nan if ours is None else ours.value,
+        "se": math.nan if ours is None else ours.se,
         "unit": entry.get("unit", ""),
         "verdict": verdict,
         "reason": reason,
         "claim": claim,
     }
+
+
+def _decide(
+    entry: dict[str, Any], ours: Estimate | None, samples: float, in_kind: bool
+) -> tuple[str, str]:
+    """Verdict on our number, which rests on `samples` samples (NaN: none), and the reason."""
+    printed, rounding = _printed(entry), entry.get("rounding", 0.0)
+    strict, z = entry.get("strict", False), entry.get("z", 3.0)
+    se = _printed_se(entry, ours, samples)
+    verdict = verdict_module.verdict(
+        printed, rounding, ours, printed_se=se, in_kind=in_kind, strict=strict, z=z
+    )
+    if ours is None or math.isnan(ours.value):
+        return verdict, ""
+    if math.isnan(ours.se):
+        return verdict, "too few cases to tell a standard error"
+    reason = entry.get("reason", "") if verdict in (NOT_REPRODUCIBLE, IN_KIND) else ""
+    doubt = undecided(printed, rounding, ours, strict=strict, z=z) if printed is not None else ""
+    if doubt:
+        verdict, reason = NOT_REPRODUCIBLE if verdict == REPRODUCED else verdict, doubt
+    if "tie" in entry and abs(ours.value) + z * ours.se <= entry["tie"]:
+        unit = entry.get("unit", "")
+        return IN_KIND, f"a tie: within ± {entry['tie']:g} {unit}".strip()
+    return verdict, reason
+
+
+def _printed(entry: dict[str, Any]) -> float | tuple[float, float] | None:
+    """The printed number, the interval (low, high) that the paper claims, or None for neither."""
+    if "claim" not in entry:
+        return entry.get("printed")
+    low, high = entry["claim"]
+    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
+
+
+def _printed_se(entry: dict[str, Any], ours: Estimate | None, samples: float) -> float:
+    """Monte Carlo error of the printed number: ours at the paper's samples; 0 if unknown."""
+    if ours is None or "printed_samples" not in entry or math.isnan(samples):
+        return 0.0
+    return ours.se * (samples / entry["printed_samples"]) ** 0.5
+
+
+def _in_kind(study: Study, entry: dict[str, Any], found: Found) -> bool:
+    """Whether our numbers of the entry's group stand in the order of the printed ones."""
+    group = [e for e in study.printed if e.get("group") and e.get("group") == entry.get("group")]
+    ours = [found[e["id"]][0].value for e in group if e["id"] in found]
+    if not group or len(ours) < len(group):
+        return False
+    return same_order([e["printed"] for e in group], ours)
 
 
 def verdict_text(rows: pd.DataFrame) -> str:
