@@ -147,10 +147,14 @@ def spelled_out(node: Any, plugins: Sequence[str] = ()) -> Any:
         return given
     whole = {"_target_": given.pop("_target_")}
     for f in dataclasses.fields(cls):
+        default = None if no_default(f) else _as_node(default_of(f))
         if f.init and f.name in given:
-            whole[f.name] = given.pop(f.name)
+            value = given.pop(f.name)
+            if isinstance(default, dict) and isinstance(value, dict) and "_target_" not in value:
+                value = spelled_out({"_target_": default["_target_"], **value}, plugins)
+            whole[f.name] = value
         elif f.init and not no_default(f):
-            whole[f.name] = _as_node(default_of(f))
+            whole[f.name] = default
     return whole | given
 
 

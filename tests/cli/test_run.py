@@ -174,7 +174,9 @@ def test_a_sweep_over_names_of_files(call, tmp_path, monkeypatch):
     assert sorted(row["scenario.path"] for row in found["summary"]) == sorted(names)
 
 
-def test_a_file_that_is_not_there_is_named_as_it_was_typed(call):
+def test_a_file_that_is_not_there_is_named_as_it_was_typed(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_text(ANCHORS)
     words = ["scenario=recorded", "scenario.path=no (1), ä.csv", "scenario.anchors=a.csv"]
     status, _, err = call("run", *words, "estimator=[ls_lines]")
     assert status == 2

@@ -12,6 +12,7 @@ from aoabench.cli.main import dispatch
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.engine.replay import replay
+from aoabench.engine.replay_files import write
 
 TRACK = [
     "noise=ae_flip",
@@ -32,7 +33,7 @@ def track(tmp_path_factory):
 
 
 def traced(out, name, replication):
-    said = replay(out, replication, name)
+    said = write(replay(out, replication, name))
     assert "as stored" in said
     path = next((out / "replay").glob(f"*-{name}-{replication}.parquet"))
     assert path.with_suffix(".png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
@@ -148,7 +149,7 @@ def test_a_replay_of_a_failure_tells_what_it_was(tmp_path, monkeypatch):
     )
     again = pd.read_parquet("out/failures.parquet")["replay"].iloc[0]
     assert again.startswith("aoabench replay out ")
-    said = replay(tmp_path / "out", 2, "trouble", plugins=["my_trouble"])
+    said = write(replay(tmp_path / "out", 2, "trouble", plugins=["my_trouble"]))
     assert "FloatingPointError: too far" in said
     assert "as stored" in said
     assert dispatch(shlex.split(again)[1:]) == 0

@@ -19,6 +19,7 @@ from aoabench.config.compose import compose_cells
 from aoabench.config.plugins import construct
 from aoabench.engine import runner
 from aoabench.engine.replay import replay
+from aoabench.engine.replay_files import write
 from aoabench.errors import UserError
 from aoabench.maths.geometry import euler, euler_of, in_frames, to_azel
 from aoabench.report import campaign, plots
@@ -486,7 +487,10 @@ def test_without_ground_truth_positions_are_the_product(here, capsys):
     code, out, err = run(capsys, "estimator=[anchor_mean]")
     assert code == 2
     assert "height_m" in err  # methods in the plane need to know the plane
-    some = "estimator=[ls_lines,anchor_mean,ls,ml_kcorr,best_anchor]"
+    code, out, err = run(capsys, "estimator=[best_anchor]", "scenario.height_m=1")
+    assert code == 2
+    assert "true positions are known" in err
+    some = "estimator=[ls_lines,anchor_mean,ls,ml_kcorr]"
     code, out, err = run(capsys, some, "scenario.height_m=1", "store.steps=true")
     assert code == 0, err
     assert "nan" in out
@@ -529,7 +533,7 @@ def test_an_exported_replication_gives_the_same_errors(scenario, kind, estimator
             [f"scenario={scenario}", "noise=ae_normal", "reps=2", "runner.out=first", *few, *some]
         )
     )
-    text = replay(done.out, 1, "ls_lines", export=kind)
+    text = write(replay(done.out, 1, "ls_lines"), kind)
     words = shlex.split(text.splitlines()[-1].removeprefix("read it back: aoabench run "))
     again = runner.run(compose_cells([*words, *some, "runner.out=again"]))
     steps = [

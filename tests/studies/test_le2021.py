@@ -11,6 +11,7 @@ import pytest
 
 from aoabench.config.compose import compose_cells
 from aoabench.maths.statistics import Estimate
+from aoabench.roles import Estimator
 from aoabench.store.fixes import Fixes
 from aoabench.studies import study
 from aoabench.types import Estimates, Outcome
@@ -118,7 +119,7 @@ def test_classes_count_everything_once(rng):
 
 
 @dataclass(frozen=True)
-class Constant:
+class Constant(Estimator):
     tile = 1
 
     def __call__(self, batch, scenario, streams):

@@ -12,11 +12,13 @@ import shapely
 from aoabench.config.compose import compose_cells
 from aoabench.engine.block import run_block
 from aoabench.engine.tiles import Draws
-from aoabench.errors import BadValue
+from aoabench.engine.tiles import together as together_as_one
+from aoabench.errors import BadValue, Unfit
 from aoabench.estimators import ellipses
 from aoabench.estimators.discrepancy import Discrepancy
 from aoabench.kernels.loading import load
 from aoabench.maths.geometry import euler, facing, to_unit
+from aoabench.noise.angular import NormalAngles
 from aoabench.types import Anchors, Batch, Outcome
 from tests.helpers import Place
 
@@ -574,7 +576,7 @@ def test_what_is_not_measured_does_not_take_part(engine, intersection, rng):
     azimuth[0, :20, 1], elevation[0, :, 3] = np.nan, np.nan
     azimuth[0, 20:, 1] = np.inf
     keep = [0, 2, 4]
-    fewer = Anchors(*(a[:, keep] for a in (batch.anchors.position, batch.anchors.rotation)))
+    fewer = batch.anchors.those(keep)
     one = Discrepancy(intersection=intersection, engine=engine)
     a = one(replace(batch, azimuth=azimuth, elevation=elevation), world, None)
     b = one(Batch(azimuth[..., keep], elevation[..., keep], fewer), Plane(fewer, 0.0), None)
@@ -648,12 +650,7 @@ def test_boxes_accept_whatever_ellipses_do():
 @pytest.mark.parametrize("engine", ENGINES)
 def test_each_replication_has_its_own_anchors(engine, rng):
     worlds = [noisy(rng, 4, 30) for _ in range(3)]
-    anchors = Anchors(
-        *(
-            np.concatenate([getattr(w[0].true_anchors, k) for w in worlds])
-            for k in ("position", "rotation")
-        )
-    )
+    anchors = together_as_one([w[0].true_anchors for w in worlds])
     azimuth, elevation = (
         np.concatenate([getattr(w[1], k) for w in worlds]) for k in ("azimuth", "elevation")
     )
@@ -711,18 +708,20 @@ def test_bad_parameters(key, value):
 
 def test_a_scenario_that_does_not_fit():
     anchors = upright([0.0, 0.0, 3.0], [1.0, 0.0, 2.0])
+    noise = NormalAngles()
     for one, scenario in (
-        (Discrepancy(), Plane(anchors, None)),
         (Discrepancy(height_m=2.0), Plane(anchors)),
         (Discrepancy(), Plane(anchors, 3.0)),
     ):
         with pytest.raises(BadValue) as error:
-            one.check(scenario)
+            one.check(scenario, noise)
         assert error.value.key == "height_m"
-    Discrepancy(height_m=1.0).check(Plane(anchors, None))
+    with pytest.raises(Unfit, match="known height"):
+        Discrepancy().check(Plane(anchors, None), noise)
+    Discrepancy(height_m=1.0).check(Plane(anchors, None), noise)
     many = Plane(upright(*np.random.default_rng(1).uniform(0, 9, (63, 3))), -1.0)
     with pytest.raises(BadValue, match="62"):
-        Discrepancy().check(many)
+        Discrepancy().check(many, noise)
     Discrepancy(vote=False).check(many)
 
 
