@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from aoabench.errors import RunError, UserError
-from aoabench.roles import Estimator
+from aoabench.roles import Estimator, Filter, Measurement, Motion, Noise, Scenario
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
 if TYPE_CHECKING:
@@ -24,9 +24,14 @@ __all__ = [
     "Batch",
     "Estimates",
     "Estimator",
+    "Filter",
+    "Measurement",
     "Measurements",
+    "Motion",
+    "Noise",
     "Outcome",
     "RunError",
+    "Scenario",
     "UserError",
     "compare",
     "load",
