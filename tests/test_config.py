@@ -25,7 +25,7 @@ from aoabench.types import UserError
     "aoabench.noise.angular._Angular",
     "aoabench.noise.angular.Measurements",
     "aoabench.models.azel.Batch",
-    "aoabench.filters.kalman.cholesky",
+    "aoabench.filters.kalman.sigma_points",
     "aoabench.noise.angular.__builtins__.eval",
     "aoabench.noisex.Evil",
     "..os.system",

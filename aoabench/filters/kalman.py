@@ -1,14 +1,14 @@
 """Kalman filters over a tile of replications: EKF and UKF, for any measurement model with
 uncorrelated components.
 
-The state has few dimensions and the measurement many, so both updates invert in the small space.
-With W = R^-1 (0 for a component that is not measured):
+Both carry a square root B of the covariance, P = B B^T, and take one component of the measurement
+after the other, each as v = f^T z + e for a state x + B z (`roots.absorb`):
 
-    EKF   P+ = L (I + L^T C^T W C L)^-1 L^T,  P = L L^T;   x+ = x + P+ C^T W (y - h(x))
-    UKF   P+ = X (I + Z^T W Z)^-1 X^T,  X, Z the weighted deviations of sigma points and of their images
+    EKF   B = L, the Cholesky factor of P, and f = L^T C^T
+    UKF   B and f are the weighted deviations of the sigma points and of their images
 
-which equal K = P C^T (C P C^T + R)^-1, P+ = P - K S K^T [Nurminen 2018, Alg. 2 and 3; errata
-N1-N8].
+which equals K = P C^T (C P C^T + R)^-1, P+ = P - K S K^T [Nurminen 2018, Alg. 2 and 3; errata
+N1-N8], and is positive definite however exact the measurement is.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 
 from aoabench import kernels
 from aoabench.filters.kernels import innovations, kind_of, variances
+from aoabench.filters.roots import absorb, covariance, predicted, prior_root
 from aoabench.geometry import Array
 from aoabench.streams import Streams
 from aoabench.types import (
@@ -44,14 +45,15 @@ KERNELS = "filters.kalman_kernels"
 class _Kalman:
     """The recursion that both filters share; the scenario brings the motion model and the prior.
 
-    `engine`: `auto` takes the compiled kernel where there is one for the measurement model, `numpy`
-    never does.
+    `engine`: `auto` takes the compiled kernel where there is one for the measurement model and its
+    variances are not below `finest`, `numpy` never does.
     """
 
     measurement: Measurement
     _: KW_ONLY
     engine: str = "auto"
     tile: ClassVar[int] = 128
+    finest: ClassVar[float] = 0.0  # the kernel's least variance
 
     def __post_init__(self) -> None:
         kernels.check_engine(self.engine)
@@ -69,72 +71,71 @@ class _Kalman:
             )
         F, Q = scenario.motion.matrices(scenario.dt)
         Y, quality = self.measurement.observe(batch)
-        kernel = self.kernel()
+        table = variances(self.measurement)
+        kernel = None if min(quality.min(), table.min()) < self.finest else self.kernel()
         compiled = None if kernel is None else kernels.load(KERNELS)
         if kernel is None or compiled is None:
-            position, covariance = self._recursion(batch, batch.prior_cov, F, Q, Y, quality)
+            position, P = self._recursion(batch, F, Q, Y, quality)
         else:
-            position, covariance = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
+            position, P = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
             function, kind, *more = kernel
-            model, anchors = (batch.prior_mean, batch.prior_cov, F, Q), batch.anchors
+            model, anchors = (batch.prior_mean, prior_root(batch.prior_cov), F, Q), batch.anchors
             arrays = (
                 *model,
                 Y,
                 quality,
                 anchors.position,
                 anchors.rotation,
-                variances(self.measurement),
+                table,
             )
             given = (np.ascontiguousarray(a, dtype=float) for a in arrays)
-            getattr(compiled, function)(kind, *given, position, covariance, *more)
-        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
+            getattr(compiled, function)(kind, *given, position, P, *more)
+        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(P).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
         return Estimates(
-            position, covariance, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
+            position, P, None, np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
         )
 
     def trace(self, batch: Batch, scenario: Any, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by component."""
         seen: list[Array] = []
         F, Q = scenario.motion.matrices(scenario.dt)
-        self._recursion(
-            batch, np.asarray(batch.prior_cov), F, Q, *self.measurement.observe(batch), seen
-        )
+        self._recursion(batch, F, Q, *self.measurement.observe(batch), seen)
         return innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
 
     def _recursion(
         self,
         batch: Batch,
-        P: Array,
         F: Array,
         Q: Array,
         Y: Array,
         quality: Array,
         seen: list[Array] | None = None,
     ) -> tuple[Array, Array]:
-        """The same in NumPy, for any measurement model; innovations (R, m) are appended to `seen`."""
+        """The same in NumPy, for any measurement model; innovations (R, m) go to `seen`."""
         h = self.measurement
-        x = np.asarray(batch.prior_mean)
-        P = np.broadcast_to(P, (*x.shape, x.shape[-1]))
+        x, B = np.asarray(batch.prior_mean), prior_root(np.asarray(batch.prior_cov))
+        B = np.broadcast_to(B, (*x.shape, x.shape[-1]))
         means, covariances = [], []
         with np.errstate(
             all="ignore"
         ):  # a replication that overflows becomes NaN and is counted as failed
             for k in range(Y.shape[1]):
-                x = x @ F.T
-                P = F @ P @ F.T + Q
+                x, L = x @ F.T, predicted(B, F, Q)
                 if seen is not None:
                     seen.append(h.residual(Y[:, k], h.predict(x, batch.anchors)))
-                x, P = self.update(x, P, Y[:, k], quality[:, k], batch.anchors)
+                x, B = self.update(x, L, Y[:, k], quality[:, k], batch.anchors)
                 means.append(x[:, :3])
-                covariances.append(P[:, :3, :3])
+                covariances.append(covariance(B[:, :3]))
         return np.stack(means, axis=1), np.stack(covariances, axis=1)
 
     def update(
-        self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
+        self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
     ) -> tuple[Array, Array]:
-        """Posterior mean (R, n) and covariance (R, n, n) from the prior's, y (R, m) and its
-        variances r (R, m).
+        """Posterior mean (R, n) and a root (R, n, k) of its covariance.
+
+        From the prior's mean and lower Cholesky factor L (R, n, n), y (R, m) and its variances r
+        (R, m).
         """
         raise NotImplementedError
 
@@ -154,17 +155,12 @@ class EKF(_Kalman):
         return None if kind is None or type(self) is not EKF else ("ekf", kind)
 
     def update(
-        self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
+        self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
     ) -> tuple[Array, Array]:
         h = self.measurement
-        C = h.jacobian(x, anchors)
-        v, W = weigh(h.residual(y, h.predict(x, anchors)), h.covariance(x, anchors, r))
-        L = cholesky(P)
-        CtW = np.swapaxes(C, -1, -2) * W[:, None, :]
-        Lt = np.swapaxes(L, -1, -2)
-        P = L @ np.linalg.solve(np.eye(x.shape[-1]) + Lt @ (CtW @ C) @ L, Lt)
-        P = 0.5 * (P + np.swapaxes(P, -1, -2))
-        return x + (P @ (CtW @ v[..., None]))[..., 0], P
+        f = np.swapaxes(h.jacobian(x, anchors) @ L, -1, -2)
+        v = h.residual(y, h.predict(x, anchors))
+        return absorb(x, L, f, v, h.covariance(x, anchors, r))
 
 
 @dataclass(frozen=True)
@@ -179,6 +175,7 @@ class UKF(_Kalman):
 
     lambda_: float = 0.5
     form: str = "averaged"
+    finest: ClassVar[float] = 1e-12  # rad^2; squares of more exact angles swallow what others say
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -192,12 +189,12 @@ class UKF(_Kalman):
         return "ukf", kind, float(self.lambda_), ("averaged", "centre").index(self.form)
 
     def update(
-        self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
+        self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
     ) -> tuple[Array, Array]:
         if self.form == "augmented":
-            return self._augmented(x, P, y, r, anchors)
+            return self._augmented(x, L, y, r, anchors)
         h = self.measurement
-        points, w = sigma_points(x, cholesky(P), self.lambda_)
+        points, w = sigma_points(x, L, self.lambda_)
         images = h.predict(points, anchors)
         deviation = h.residual(images, images[:, :1])
         mean = w @ deviation
@@ -207,26 +204,20 @@ class UKF(_Kalman):
             R = (w[:, None] * np.broadcast_to(h.covariance(points, anchors, r), images.shape)).sum(
                 axis=1
             )
-        v, W = weigh(h.residual(y, images[:, 0] + mean), R)
-        X = np.sqrt(w)[:, None] * (points - x[:, None])  # (R, S, n)
-        Z = np.sqrt(w)[:, None] * (deviation - mean[:, None])  # (R, S, m)
-        ZW = Z * W[:, None, :]
-        G = np.linalg.solve(np.eye(len(w)) + ZW @ np.swapaxes(Z, -1, -2), X)  # (R, S, n)
-        Gt = np.swapaxes(G, -1, -2)
-        P = Gt @ X
-        return x + (Gt @ (ZW @ v[..., None]))[..., 0], 0.5 * (P + np.swapaxes(P, -1, -2))
+        B = np.swapaxes(np.sqrt(w)[:, None] * (points - x[:, None]), -1, -2)  # (R, n, S)
+        f = np.sqrt(w)[:, None] * (deviation - mean[:, None])  # (R, S, m)
+        return absorb(x, B, f, h.residual(y, images[:, 0] + mean), R)
 
     def _augmented(
-        self, x: Array, P: Array, y: Array, r: Array, anchors: Anchors
+        self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
     ) -> tuple[Array, Array]:
         """Sigma points of (x, e), e ~ N(0, I) in m dimensions, through h(x) + sigma(x) e."""
         h, (n, m) = self.measurement, (x.shape[-1], y.shape[-1])
-        L = np.zeros((len(x), n + m, n + m))
-        L[:, :n, :n] = cholesky(P)
-        L[:, n:, n:] = np.eye(m)
-        points, w = sigma_points(
-            np.concatenate([x, np.zeros((len(x), m))], axis=-1), L, self.lambda_
-        )
+        both = np.zeros((len(x), n + m, n + m))
+        both[:, :n, :n] = L
+        both[:, n:, n:] = np.eye(m)
+        centre = np.concatenate([x, np.zeros((len(x), m))], axis=-1)
+        points, w = sigma_points(centre, both, self.lambda_)
         state = np.ascontiguousarray(points[..., :n])
         images = h.predict(state, anchors)
         deviation = (
@@ -234,17 +225,10 @@ class UKF(_Kalman):
             + np.sqrt(h.covariance(state, anchors, r)) * points[..., n:]
         )
         mean = w @ deviation
+        B = np.swapaxes(np.sqrt(w)[:, None] * (state - x[:, None]), -1, -2)
+        f = np.sqrt(w)[:, None] * (deviation - mean[:, None])
         v = h.residual(y, images[:, 0] + mean)
-        measured = ~np.isnan(v)
-        X = np.sqrt(w)[:, None] * (state - x[:, None])
-        Z = np.sqrt(w)[:, None] * (deviation - mean[:, None]) * measured[:, None, :]
-        S = np.swapaxes(Z, -1, -2) @ Z + np.eye(m) * ~measured[:, None, :]
-        Kt = np.linalg.solve(S, np.swapaxes(Z, -1, -2) @ X)  # (R, m, n)
-        K = np.swapaxes(Kt, -1, -2)
-        P = np.swapaxes(X, -1, -2) @ X - K @ S @ Kt
-        return x + (K @ np.where(measured, v, 0.0)[..., None])[..., 0], 0.5 * (
-            P + np.swapaxes(P, -1, -2)
-        )
+        return absorb(x, B, f, v, np.zeros_like(v))  # the noise is in f
 
 
 def sigma_points(x: Array, L: Array, lambda_: float) -> tuple[Array, Array]:
@@ -257,25 +241,3 @@ def sigma_points(x: Array, L: Array, lambda_: float) -> tuple[Array, Array]:
     weights = np.full(2 * n + 1, 0.5 / (n + lambda_))
     weights[0] = lambda_ / (n + lambda_)
     return points, weights
-
-
-def weigh(residual: Array, variance: Array) -> tuple[Array, Array]:
-    """Residuals and inverse variances, both 0 where a component is not measured (NaN)."""
-    missing = np.isnan(residual)
-    return np.where(missing, 0.0, residual), np.where(missing, 0.0, 1.0 / variance)
-
-
-def cholesky(A: Array) -> Array:
-    """Lower factor (..., n, n) of each A (..., n, n); NaN where A is not positive definite.
-
-    numpy's own raises for the whole stack when a single matrix is not.
-    """
-    n = A.shape[-1]
-    L = np.zeros_like(A)
-    for j in range(n):
-        row = L[..., j, :j]
-        pivot = A[..., j, j] - (row * row).sum(-1)
-        L[..., j, j] = root = np.sqrt(np.where(pivot > 0, pivot, np.nan))
-        for i in range(j + 1, n):
-            L[..., i, j] = (A[..., i, j] - (L[..., i, :j] * row).sum(-1)) / root
-    return L

@@ -3,7 +3,8 @@
 Weights live as logarithms: kappa = 1e6 and many steps without resampling do not underflow [Nurminen
 2018, Alg. 1]:
 
-    x_k^i ~ N(F x_{k-1}^i, Q),   log w_k^i = log w_{k-1}^i + log p(y_k | x_k^i),   x_k = sum_i w_k^i x_k^i
+    x_k^i ~ N(F x_{k-1}^i, Q),   log w_k^i = log w_{k-1}^i + log p(y_k | x_k^i),
+    x_k = sum_i w_k^i x_k^i
 
 and where 1 / sum_i (w_k^i)^2 < `resample_below` N, the particles are resampled systematically.
 
@@ -180,7 +181,7 @@ class ParticleFilter:
         streams: Streams,
         chosen: np.ndarray | None = None,
     ) -> tuple[Array, Array, np.ndarray, Array]:
-        """The same by the kernel, relative to the prior's mean; `chosen` as above, to be filled in."""
+        """The same by the kernel, relative to the prior's mean; `chosen` as above, filled in."""
         assert batch.prior_mean is not None
         assert batch.prior_cov is not None
         T, origin = len(Y), batch.prior_mean[i]
