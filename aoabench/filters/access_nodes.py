@@ -6,11 +6,18 @@ AN, with H (3, 3) the derivatives of (c delay, azimuth, elevation) by the positi
 AN's position being -H,
 
     S = diag(qualities) + H C H^T,    A = sum H^T S^-1 H,    g = sum H^T S^-1 (y - h)
-    x+ = x + P_:p (I + A P_pp)^-1 g,    P+ = P - P_:p (I + A P_pp)^-1 A P_p:                    (p: the position)
 
-which is K = P H^T (H P H^T + R)^-1. C is the covariance of an AN's position, R block-diagonal over
-the ANs: their errors are independent (errata U3, U4). One error common to all ANs is a further
-error of the position: A becomes A (I + C A)^-1 with S without C; that is what (23), (24) print.
+C is the covariance of an AN's position, R block-diagonal over the ANs: their errors are independent
+(errata U3, U4). One error common to all ANs is a further error of the position: A becomes
+A (I + C A)^-1 with S without C; that is what (23), (24) print.
+
+The filter carries a root B of its covariance, P = B B^T. A and g amount to three measurements of
+the position, u = c^T (position error) + e with e ~ N(0, 1), where A = sum c c^T and g = sum u c;
+they shrink B one after the other (`roots.absorb`). With p for the position, the result is
+
+    x+ = x + P_:p (I + A P_pp)^-1 g,    P+ = P - P_:p (I + A P_pp)^-1 A P_p:
+
+or K = P H^T (H P H^T + R)^-1, and P+ is positive definite however exact the measurements are.
 """
 
 from __future__ import annotations
@@ -22,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aoabench.errors import Unfit
+from aoabench.filters.roots import EPS, absorb, covariance, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import LIGHT, Array, wrap
@@ -35,6 +43,7 @@ if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash
 
 KERNELS = "kernels.access_nodes"
 PRINTED = ("jacobian", "wrap", "shared", "cross")
+LOST = 32 * EPS  # of a diagonal element: what is left of it is rounding
 RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 
@@ -73,12 +82,13 @@ class AccessNodeEKF(Compiled, Estimator):
         compiled = self.compiled(batch.anchors)
         recursion = self._recursion if compiled is None else compiled.run
         flags = tuple(name in self.as_printed for name in PRINTED)
+        belief = belief._replace(covariance=prior_root(belief.covariance))
         given = (*belief, *self.measured(batch), batch.anchors, _variances(batch.anchors), flags)
-        position, covariance = recursion(*given)
-        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(covariance).all((-1, -2)))
+        position, P = recursion(*given)
+        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(P).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
         outcome = np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
-        return Estimates(position, covariance, None, outcome)
+        return Estimates(position, P, None, outcome)
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by access node and component; NaN where it was
@@ -87,7 +97,9 @@ class AccessNodeEKF(Compiled, Estimator):
         y, q, heard = self.measured(batch)
         flags = tuple(name in self.as_printed for name in PRINTED)
         anchors, seen = batch.anchors, list[Array]()
-        given = (*believed(batch, scenario), y, q, heard, anchors, _variances(anchors), flags)
+        belief = believed(batch, scenario)
+        belief = belief._replace(covariance=prior_root(belief.covariance))
+        given = (*belief, y, q, heard, anchors, _variances(anchors), flags)
         self._recursion(*given, seen)
         found = np.full((*batch.azimuth.shape, 3), np.nan)
         own = heard >= 0
@@ -136,7 +148,7 @@ class AccessNodeEKF(Compiled, Estimator):
     def _recursion(
         self,
         mean: Array,
-        P: Array,
+        root: Array,
         F: Array,
         Q: Array,
         y: Array,
@@ -150,27 +162,23 @@ class AccessNodeEKF(Compiled, Estimator):
         """The same in NumPy: positions (R, T, 3) and covariances (R, T, 3, 3); innovations (R, K,
         3) go to `seen`.
         """
-        x, P = np.asarray(mean), np.broadcast_to(P, (*mean.shape, mean.shape[1]))
+        x, B = np.asarray(mean), np.broadcast_to(root, (*mean.shape, mean.shape[1]))
         means, covariances = [], []
         with np.errstate(
             all="ignore"
         ):  # a replication that overflows becomes NaN and is counted as failed
             for k, of in enumerate(heard):
-                x, P = x @ F.T, F @ P @ F.T + Q
+                x, B = x @ F.T, predicted(B, F, Q)
                 those = anchors.at(k).those(of)
                 if seen is not None:
                     v = y[:, k] - expected(x[:, :3], those, flags[0])[0]
                     v[..., 1] = wrap(v[..., 1])
                     seen.append(v)
-                A, g = information(x[:, :3], y[:, k], q[:, k], those, C[:, of], flags)
-                W = np.linalg.solve(
-                    np.eye(3) + A @ P[:, :3, :3], np.concatenate([A, g[..., None]], axis=-1)
-                )
-                x = x + (P[:, :, :3] @ W[..., 3:])[..., 0]
-                P = P - P[:, :, :3] @ W[..., :3] @ P[:, :3, :]
-                P = 0.5 * (P + np.swapaxes(P, -1, -2))
+                c, u = columns(*information(x[:, :3], y[:, k], q[:, k], those, C[:, of], flags))
+                f = np.swapaxes(B[:, :3], -1, -2) @ c
+                x, B = absorb(x, B, f, u, np.ones_like(u))
                 means.append(x[:, :3])
-                covariances.append(P[:, :3, :3])
+                covariances.append(covariance(B[:, :3]))
         return np.stack(means, axis=1), np.stack(covariances, axis=1)
 
 
@@ -178,6 +186,23 @@ def _variances(anchors: Anchors) -> Array:
     """Variances (R|1, B, 3) m^2 of the ANs' positions as they are stated; 0 where they are exact."""
     sigma = anchors.position_sigma
     return np.zeros((1, anchors.count, 3)) if sigma is None else np.square(sigma[:, 0])
+
+
+def columns(A: Array, g: Array) -> tuple[Array, Array]:
+    """c (R, 3, 3) and u (R, 3) with A = c c^T and g = c u, for A (R, 3, 3) >= 0 and g (R, 3).
+
+    Eigenvectors of A scaled to a diagonal of 1. An eigenvalue that is lost in the rounding of A is
+    no information: its column is 0.
+    """
+    diagonal = np.diagonal(A, axis1=-2, axis2=-1)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    finite = np.asarray(np.isfinite(A).all((-1, -2)))[:, None]
+    A = np.where(finite[..., None], A / (scale[:, :, None] * scale[:, None, :]), 0.0)
+    values, vectors = np.linalg.eigh(A)
+    root = np.sqrt(np.where(values > LOST, values, 0.0))
+    u = np.swapaxes(vectors, -1, -2) @ (g / scale)[..., None]
+    c = np.where(finite[..., None], scale[:, :, None] * vectors * root[:, None, :], np.nan)
+    return c, np.where(root > 0, u[..., 0] / root, 0.0)
 
 
 def information(
@@ -204,16 +229,29 @@ def information(
     if shared:
         groups = (np.array([1.0, 0, 0]), np.array([0, 1.0, 1])) if apart else (np.ones(3),)
         A, g = np.zeros((len(x), 3, 3)), np.zeros((len(x), 3))
-        c = C[:, 0, :, None] * np.eye(3)
         for group in groups:
-            a, b = gather(H * group[:, None], v, S)
-            both = np.linalg.solve(np.eye(3) + a @ c, np.concatenate([a, b[..., None]], axis=-1))
-            A, g = A + both[..., :3], g + both[..., 3]
+            a, b = common(*gather(H * group[:, None], v, S), C[:, 0])
+            A, g = A + a, g + b
         return A, g
     S += (H * C[:, :, None, :]) @ np.swapaxes(H, -1, -2)
     if apart:
         S[..., 0, 1:] = S[..., 1:, 0] = 0.0
     return gather(H, v, S)
+
+
+def common(A: Array, g: Array, C: Array) -> tuple[Array, Array]:
+    """A (I + C A)^-1 and (I + A C)^-1 g: one more error of the position, with variances C (R|1, 3)
+    m^2.
+
+    With A = c c^T, g = c u and sqrt(C) c = f, these are c M M^T c^T and c M M^T u, where M is the
+    root of (I + f^T f)^-1.
+    """
+    c, u = columns(A, g)
+    rows = np.concatenate([c, u[:, None]], axis=1)
+    f = np.swapaxes(np.sqrt(C)[..., :, None] * c, -1, -2)
+    _, rows = absorb(np.zeros(rows.shape[:2]), rows, f, np.zeros_like(u), np.ones_like(u))
+    c, u = rows[:, :3], rows[:, 3]
+    return c @ np.swapaxes(c, -1, -2), (c @ u[..., None])[..., 0]
 
 
 def gather(H: Array, v: Array, S: Array) -> tuple[Array, Array]:

@@ -3,7 +3,8 @@
 Weights live as logarithms: kappa = 1e6 and many steps without resampling do not underflow [Nurminen
 2018, Alg. 1]:
 
-    x_k^i ~ N(F x_{k-1}^i, Q),   log w_k^i = log w_{k-1}^i + log p(y_k | x_k^i),   x_k = sum_i w_k^i x_k^i
+    x_k^i ~ N(F x_{k-1}^i, Q),   log w_k^i = log w_{k-1}^i + log p(y_k | x_k^i),
+    x_k = sum_i w_k^i x_k^i
 
 and where 1 / sum_i (w_k^i)^2 < `resample_below` N, the particles are resampled systematically.
 

@@ -1,9 +1,9 @@
 """Kalman filter kernels: EKF and UKF in double precision, vectorised over replications.
 
 The arithmetic of `filters/kalman.py`, written out for states whose first three components are the
-position and for the measurement models that are numbered below. In both filters the measurement
-enters component by component, and P+ = V^T V with V = G^-1 L^T and G G^T = I + L^T A L is positive
-semidefinite by its form.
+position and for the measurement models that are numbered below. Both filters carry a square root of
+the covariance. What the measurement says of the position is summed component by component, as
+A (3, 3) and g (3,); these amount to three scalar measurements, which shrink the square root.
 
 Arrays have one more axis than in the textbook, the last: `TILE` replications. Whatever is innermost
 below is a loop over them, of constant length and without calls, so that the compiler vectorises it.
@@ -30,6 +30,10 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 TURN, DEGREES = 2.0 * math.pi, 180.0 / math.pi
 RHO2_FLOOR, NEAREST = 1e-12, 1e-12  # m^2, m: as in the measurement models
 TINY = 1e-300
+EPS = 2.0**-52
+LOST = 32.0 * EPS  # of a diagonal element: what is left of it is rounding
+# Rows of w: A and g, the position's factor; an update's T and z
+A, G, L, T, Z, ROWS = 0, 6, 9, 15, 24, 27
 
 
 def kernel(signature: Any) -> Callable[[Callable], Callable]:
@@ -88,7 +92,7 @@ def wrapped(a):
     return a if a > -math.pi else math.pi
 
 
-# -------------------------------------------------------------------------------------------- measu
+# --- measurement models ---------------------------------------------------------------------------
 
 
 @inlined
@@ -102,7 +106,7 @@ def seen_from(x, s, R, out):
 
 @inlined
 def direction(kind, p, out):
-    """What is measured of p (3, TILE) in the anchor's frame: unit vector, or azimuth and elevation."""
+    """What is measured of p (3, TILE) in the anchor's frame: unit vector or azimuth, elevation."""
     if kind == UNIT_VECTOR:
         for r in range(TILE):
             d = max(math.sqrt(p[0, r] * p[0, r] + p[1, r] * p[1, r] + p[2, r] * p[2, r]), NEAREST)
@@ -118,7 +122,7 @@ def direction(kind, p, out):
 
 @inlined
 def slopes(kind, p, c, R, out):
-    """Derivatives of `direction` by the position, one row after the other, into out (3, 3, TILE)."""
+    """Derivatives of `direction` by the position, row after row, into out (3, 3, TILE)."""
     if kind == UNIT_VECTOR:  # (I - c c^T) R / distance
         for q in range(3):
             for r in range(TILE):
@@ -171,7 +175,7 @@ def deviation(kind, l, a, b, out):
         out[r] = wrapped(d) if kind != UNIT_VECTOR and l == 0 else d
 
 
-# ----------------------------------------------------------------------------------------- linear a
+# --- linear algebra -------------------------------------------------------------------------------
 
 
 @inlined
@@ -189,95 +193,189 @@ def add(out, a, b):
 
 
 @inlined
-def predict(x, P, F, Q, FP, Fx):
-    """x = F x, P = F P F^T + Q."""
+def predict(x, root, F, Q, P, FR, Fx):
+    """x = F x and the lower half of P = F root (F root)^T + Q, raised so that it has a factor.
+
+    The diagonal grows by more than the sums, and their Cholesky factor, lose in rounding.
+    """
     n = len(x)
+    raised = 1.0 + 2.0 * n * n * EPS
     for i in range(n):
         Fx[i] = 0.0
         for j in range(n):
-            FP[i, j] = 0.0
+            FR[i, j] = 0.0
         for l in range(n):
             f = F[i, l]
             if f != 0.0:
                 for r in range(TILE):
                     Fx[i, r] += f * x[l, r]
-                for j in range(n):
+                for j in range(max(l + 1, 3)):
                     for r in range(TILE):
-                        FP[i, j, r] += f * P[l, j, r]
+                        FR[i, j, r] += f * root[l, j, r]
     for i in range(n):
         x[i] = Fx[i]
-        for j in range(n):
+        for j in range(i + 1):
             P[i, j] = Q[i, j]
             for l in range(n):
-                f = F[j, l]
-                if f != 0.0:
-                    for r in range(TILE):
-                        P[i, j, r] += f * FP[i, l, r]
+                add(P[i, j], FR[i, l], FR[j, l])
+        for r in range(TILE):
+            P[i, i, r] *= raised
 
 
 @inlined
-def cholesky(A, L):
-    """Lower factor of A into L; NaN where A is not positive definite. The diagonal is left as its
-    inverse.
-    """
-    n = len(A)
+def cholesky(P, L):
+    """Lower factor of P into L; NaN where P is not positive definite."""
+    n = len(P)
     for j in range(n):
-        L[j, j] = A[j, j]
-        for l in range(j):
-            subtract(L[j, j], L[j, l], L[j, l])
-        for r in range(TILE):
-            L[j, j, r] = 1.0 / math.sqrt(L[j, j, r] if L[j, j, r] > 0.0 else math.nan)
-        for i in range(j + 1, n):
-            L[i, j] = A[i, j]
+        for i in range(j, n):
+            L[i, j] = P[i, j]
             for l in range(j):
                 subtract(L[i, j], L[i, l], L[j, l])
-            for r in range(TILE):
-                L[i, j, r] *= L[j, j, r]
-
-
-@inlined
-def transposed(L, out):
-    """L^T from what `cholesky` gives."""
-    n = len(L)
-    for i in range(n):
-        for j in range(n):
-            if j > i:
-                out[i, j] = L[j, i]
-            else:
-                out[i, j] = 0.0
         for r in range(TILE):
-            out[i, i, r] = 1.0 / L[i, i, r]
-
-
-@inlined
-def forward(G, V, b):
-    """V = G^-1 V and b = G^-1 b in place, G (m, m) from `cholesky`, V (m, n), b (m,)."""
-    m, n = V.shape[0], V.shape[1]
-    for i in range(m):
-        for j in range(i):
-            subtract(b[i], G[i, j], b[j])
-            for c in range(n):
-                subtract(V[i, c], G[i, j], V[j, c])
-        for r in range(TILE):
-            b[i, r] *= G[i, i, r]
-        for c in range(n):
+            L[j, j, r] = math.sqrt(L[j, j, r] if L[j, j, r] > 0.0 else math.nan)
+        for i in range(j + 1, n):
             for r in range(TILE):
-                V[i, c, r] *= G[i, i, r]
+                L[i, j, r] /= L[j, j, r]
 
 
 @inlined
-def conclude(x, P, V, b):
-    """x += V^T b, P = V^T V."""
-    m, n = V.shape[0], V.shape[1]
-    for i in range(n):
-        for l in range(m):
-            add(x[i], V[l, i], b[l])
-        for j in range(i + 1):
-            P[i, j] = 0.0
-            for l in range(m):
-                add(P[i, j], V[l, i], V[l, j])
-            if i != j:
-                P[j, i] = P[i, j]
+def eliminate(M, b):
+    """M x = b for its last three unknowns: M (7, 7), its lower half, and b (7,) freed from four."""
+    for j in range(4):
+        for r in range(TILE):
+            M[j, j, r] = 1.0 / M[j, j, r]
+        for i in range(j + 1, 7):
+            for r in range(TILE):
+                b[i, r] -= M[i, j, r] * M[j, j, r] * b[j, r]
+            for l in range(j + 1, i + 1):
+                for r in range(TILE):
+                    M[i, l, r] -= M[i, j, r] * M[j, j, r] * M[l, j, r]
+
+
+@inlined
+def turned(h, M):
+    """M^T h with M (9,) row by row."""
+    return (
+        M[0] * h[0] + M[3] * h[1] + M[6] * h[2],
+        M[1] * h[0] + M[4] * h[1] + M[7] * h[2],
+        M[2] * h[0] + M[5] * h[1] + M[8] * h[2],
+    )
+
+
+@inlined
+def swapped(swap, a, b):
+    """(b, a) if `swap`, else (a, b)."""
+    return b if swap else a, a if swap else b
+
+
+@inlined
+def inverse_root(p, least):
+    """1 / sqrt(p); 0 where p is not above `least`."""
+    return 1.0 / math.sqrt(math.inf if p <= least else p)
+
+
+@inlined
+def back(first, second, third, c):
+    """c (3,) with the swaps undone."""
+    x, y, z = c
+    y, z = swapped(third, y, z)
+    x, z = swapped(second, x, z)
+    x, y = swapped(first, x, y)
+    return x, y, z
+
+
+@inlined
+def columns(w, r):
+    """c0, u0, c1, u1, c2, u2 with A = sum c c^T and g = sum u c: three scalar measurements, c (3,).
+
+    A Cholesky factor of A, the largest pivot first. A pivot that is lost in the rounding of A's
+    diagonal is no information: its column is 0.
+    """
+    a00, a10, a11 = w[A, r], w[A + 1, r], w[A + 2, r]
+    a20, a21, a22 = w[A + 3, r], w[A + 4, r], w[A + 5, r]
+    g0, g1, g2 = w[G, r], w[G + 1, r], w[G + 2, r]
+    first = a11 > a00
+    a00, a11 = swapped(first, a00, a11)
+    a20, a21 = swapped(first, a20, a21)
+    g0, g1 = swapped(first, g0, g1)
+    second = a22 > a00
+    a00, a22 = swapped(second, a00, a22)
+    a10, a21 = swapped(second, a10, a21)
+    g0, g2 = swapped(second, g0, g2)
+    i = inverse_root(a00, 0.0)
+    x0, y0, z0, u0 = a00 * i, a10 * i, a20 * i, g0 * i
+    b11, b21, b22 = a11 - y0 * y0, a21 - y0 * z0, a22 - z0 * z0
+    g1, g2 = g1 - y0 * u0, g2 - z0 * u0
+    third = b22 > b11
+    a11, a22 = swapped(third, a11, a22)
+    b11, b22 = swapped(third, b11, b22)
+    y0, z0 = swapped(third, y0, z0)
+    g1, g2 = swapped(third, g1, g2)
+    i = inverse_root(b11, LOST * a11)
+    y1, z1, u1 = b11 * i, b21 * i, g1 * i
+    b22, g2 = b22 - z1 * z1, g2 - z1 * u1
+    i = inverse_root(b22, LOST * a22)
+    c0 = back(first, second, third, (x0, y0, z0))
+    c1 = back(first, second, third, (0.0, y1, z1))
+    c2 = back(first, second, third, (0.0, 0.0, b22 * i))
+    return c0, u0, c1, u1, c2, g2 * i
+
+
+@inlined
+def absorb(M, z, h, u):
+    """M and z after one more measurement u = h^T z + e, e ~ N(0, 1), in Potter's form.
+
+    z ~ N(z, M M^T), M (9,) row by row. With f = M^T h and s = 1 + f^T f, z += M f (u - h^T z) / s
+    and M -= M f f^T / (s + sqrt(s)), which shrinks M and never more than to 0.
+    """
+    f = turned(h, M)
+    s = 1.0 + f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
+    t = math.sqrt(s)
+    k = 1.0 / (s + t)
+    a = M[0] * f[0] + M[1] * f[1] + M[2] * f[2]
+    b = M[3] * f[0] + M[4] * f[1] + M[5] * f[2]
+    c = M[6] * f[0] + M[7] * f[1] + M[8] * f[2]
+    e = k * (1.0 + t)  # 1 / sqrt(s)
+    e *= e * (u - h[0] * z[0] - h[1] * z[1] - h[2] * z[2])
+    z = z[0] + a * e, z[1] + b * e, z[2] + c * e
+    a, b, c = k * a, k * b, k * c
+    row0 = M[0] - a * f[0], M[1] - a * f[1], M[2] - a * f[2]
+    row1 = M[3] - b * f[0], M[4] - b * f[1], M[5] - b * f[2]
+    row2 = M[6] - c * f[0], M[7] - c * f[1], M[8] - c * f[2]
+    return (*row0, *row1, *row2), z
+
+
+@inlined
+def update(w):
+    """T (3, 3) and z (3,): A and g turn x into x + L z and the factor L of P_pp into L T."""
+    for r in range(TILE):
+        l00, l10, l11 = w[L, r], w[L + 1, r], w[L + 2, r]
+        l20, l21, l22 = w[L + 3, r], w[L + 4, r], w[L + 5, r]
+        c0, u0, c1, u1, c2, u2 = columns(w, r)
+        M, z = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+        h = l00 * c0[0] + l10 * c0[1] + l20 * c0[2], l11 * c0[1] + l21 * c0[2], l22 * c0[2]
+        M, z = absorb(M, z, h, u0)
+        h = l00 * c1[0] + l10 * c1[1] + l20 * c1[2], l11 * c1[1] + l21 * c1[2], l22 * c1[2]
+        M, z = absorb(M, z, h, u1)
+        h = l00 * c2[0] + l10 * c2[1] + l20 * c2[2], l11 * c2[1] + l21 * c2[2], l22 * c2[2]
+        M, z = absorb(M, z, h, u2)
+        w[T, r], w[T + 1, r], w[T + 2, r] = M[0], M[1], M[2]
+        w[T + 3, r], w[T + 4, r], w[T + 5, r] = M[3], M[4], M[5]
+        w[T + 6, r], w[T + 7, r], w[T + 8, r] = M[6], M[7], M[8]
+        w[Z, r], w[Z + 1, r], w[Z + 2, r] = z[0], z[1], z[2]
+
+
+@inlined
+def conclude(x, root, w):
+    """x += L_:p z and L_:p = L_:p T; the other columns of the factor stay."""
+    for i in range(len(x)):
+        for r in range(TILE):
+            a = root[i, 0, r]
+            b, c = root[i, 1, r] if i > 0 else 0.0, root[i, 2, r] if i > 1 else 0.0
+            x[i, r] += a * w[Z, r] + b * w[Z + 1, r] + c * w[Z + 2, r]
+            root[i, 0, r] = a * w[T, r] + b * w[T + 3, r] + c * w[T + 6, r]
+            root[i, 1, r] = a * w[T + 1, r] + b * w[T + 4, r] + c * w[T + 7, r]
+            root[i, 2, r] = a * w[T + 2, r] + b * w[T + 5, r] + c * w[T + 8, r]
 
 
 # --------------------------------------------------------------------------------------------------
@@ -304,13 +402,16 @@ def load_step(source, start, k, c, out):
 
 
 @inlined
-def store(x, P, start, k, means, covariances):
-    """Position and its covariance at step k."""
+def store(x, root, start, k, means, covariances):
+    """Position and its covariance at step k; its diagonal raised, as in `predict`."""
     for r in range(min(TILE, len(means) - start)):
         for p in range(3):
             means[start + r, k, p] = x[p, r]
-            for q in range(3):
-                covariances[start + r, k, p, q] = P[p, q, r]
+            for q in range(p + 1):
+                c = root[p, 0, r] * root[q, 0, r] + root[p, 1, r] * root[q, 1, r]
+                c += root[p, 2, r] * root[q, 2, r]
+                covariances[start + r, k, p, q] = covariances[start + r, k, q, p] = c
+            covariances[start + r, k, p, p] *= 1.0 + 18.0 * EPS
 
 
 def given(dimensions: int) -> types.Array:
@@ -327,26 +428,20 @@ ARGUMENTS = (
 
 
 @kernel(types.void(*ARGUMENTS))
-def ekf(kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covariances):
+def ekf(kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, covariances):
     """EKF of each replication: means (R, T, 3) and covariances (R, T, 3, 3) from measurements Y (R,
     T, m).
 
-    x0 (R, n), P0, F, Q (n, n); quality (R, T, m) nominal variances; anchors (R|1, B, ...); `table`
-    (181, 2) of variances for AZEL_ADAPTIVE.
+    x0 (R, n), root0, F, Q (n, n), where root0 is a lower factor of the prior's covariance; quality
+    (R, T, m) nominal variances; anchors (R|1, B, ...); `table` (181, 2) of variances for
+    AZEL_ADAPTIVE.
     """
-    (R, T, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
+    (R, steps, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
     d = m // B
-    x, Fx, b = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((n, TILE))
-    P, FP, M, V = (
-        np.empty((n, n, TILE)),
-        np.empty((n, n, TILE)),
-        np.empty((n, n, TILE)),
-        np.empty((n, n, TILE)),
-    )
-    L, G = np.empty((n, n, TILE)), np.empty((n, n, TILE))
+    x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
+    P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
     s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
     local, c, h = np.empty((3, TILE)), np.empty((3, TILE)), np.empty((3, 3, TILE))
-    A, g, AL = np.empty((3, 3, TILE)), np.empty((3, TILE)), np.empty((3, n, TILE))
     y, nominal, var, v, W = (
         np.empty(TILE),
         np.empty(TILE),
@@ -360,11 +455,11 @@ def ekf(kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covari
         load(rotation, start, rot)
         for i in range(n):
             for j in range(n):
-                P[i, j] = P0[i, j]
-        for k in range(T):
-            predict(x, P, F, Q, FP, Fx)
-            A[:] = 0.0
-            g[:] = 0.0
+                root[i, j] = root0[i, j]
+        for k in range(steps):
+            predict(x, root, F, Q, P, FR, Fx)
+            cholesky(P, root)
+            w[A : G + 3] = 0.0
             for j in range(B):
                 seen_from(x, s[j], rot[j], local)
                 direction(kind, local, c)
@@ -374,55 +469,42 @@ def ekf(kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covari
                     load_step(quality, start, k, d * j + l, nominal)
                     variance(kind, l, c[1], nominal, table, var)
                     innovation(kind, l, y, c[l], var, v, W)
-                    for p in range(3):
-                        for r in range(TILE):
-                            g[p, r] += W[r] * h[l, p, r] * v[r]
-                        for q in range(p, 3):
-                            for r in range(TILE):
-                                A[p, q, r] += W[r] * h[l, p, r] * h[l, q, r]
-            cholesky(P, L)
-            transposed(L, V)
-            for i in range(n):  # b = L^T g, A L, M = I + L^T A L
-                b[i] = 0.0
-                for p in range(3):
-                    add(b[i], V[i, p], g[p])
-                    AL[p, i] = 0.0
-                    for q in range(3):
-                        add(AL[p, i], A[min(p, q), max(p, q)], V[i, q])
-            for i in range(n):
+                    for r in range(TILE):
+                        a, b, e = W[r] * h[l, 0, r], W[r] * h[l, 1, r], W[r] * h[l, 2, r]
+                        w[A, r] += a * h[l, 0, r]
+                        w[A + 1, r] += b * h[l, 0, r]
+                        w[A + 2, r] += b * h[l, 1, r]
+                        w[A + 3, r] += e * h[l, 0, r]
+                        w[A + 4, r] += e * h[l, 1, r]
+                        w[A + 5, r] += e * h[l, 2, r]
+                        w[G, r] += a * v[r]
+                        w[G + 1, r] += b * v[r]
+                        w[G + 2, r] += e * v[r]
+            for i in range(3):
                 for j in range(i + 1):
-                    M[i, j] = 1.0 if i == j else 0.0
-                    for p in range(3):
-                        add(M[i, j], V[i, p], AL[p, j])
-            cholesky(M, G)
-            forward(G, V, b)
-            conclude(x, P, V, b)
-            store(x, P, start, k, means, covariances)
+                    w[L + i * (i + 1) // 2 + j] = root[i, j]
+            update(w)
+            conclude(x, root, w)
+            store(x, root, start, k, means, covariances)
 
 
 @kernel(types.void(*ARGUMENTS, types.float64, types.intp))
 def ukf(
-    kind, x0, P0, F, Q, Y, quality, position, rotation, table, means, covariances, lambda_, form
+    kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, covariances, lambda_, form
 ):
     """UKF of each replication with 2 n + 1 sigma points; `form` AVERAGED or CENTRE, the rest as for
     `ekf`.
+
+    Seven points are computed: the others differ from the centre in no position and count with it.
+    Each pair of points gives a half sum and a half difference. Only the differences deviate in the
+    state, and the update of the state is what remains of the equations without the others.
     """
-    (R, T, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
-    d, S = m // B, 2 * n + 1
-    x, Fx = np.empty((n, TILE)), np.empty((n, TILE))
-    P, FP, L, Lt = (
-        np.empty((n, n, TILE)),
-        np.empty((n, n, TILE)),
-        np.empty((n, n, TILE)),
-        np.empty((n, n, TILE)),
-    )
-    point, V, b = np.empty((S, n, TILE)), np.empty((S, n, TILE)), np.empty((S, TILE))
-    M, G, image, z = (
-        np.empty((S, S, TILE)),
-        np.empty((S, S, TILE)),
-        np.empty((S, 3, TILE)),
-        np.empty((S, TILE)),
-    )
+    (R, steps, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
+    d = m // B
+    x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
+    P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
+    point, image, z = np.empty((7, 3, TILE)), np.empty((7, 3, TILE)), np.empty((7, TILE))
+    M, b = np.empty((7, 7, TILE)), np.empty((7, TILE))
     s, rot, local = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE)), np.empty((3, TILE))
     y, nominal, var, v, W = (
         np.empty(TILE),
@@ -432,65 +514,69 @@ def ukf(
         np.empty(TILE),
     )
     one, mean, expected = np.empty(TILE), np.empty(TILE), np.empty(TILE)
-    weight = np.full(S, 0.5 / (n + lambda_))
-    weight[0] = lambda_ / (n + lambda_)
-    root, spread = np.sqrt(weight), math.sqrt(n + lambda_)
+    each, spread = 0.5 / (n + lambda_), math.sqrt(n + lambda_)
+    centre = (lambda_ + n - 3.0) / (n + lambda_)
+    half, still = math.sqrt(0.5 * each), math.sqrt(centre)
     for start in range(0, R, TILE):
         load(x0, start, x)
         load(position, start, s)
         load(rotation, start, rot)
         for i in range(n):
             for j in range(n):
-                P[i, j] = P0[i, j]
-        for k in range(T):
-            predict(x, P, F, Q, FP, Fx)
-            cholesky(P, L)
-            transposed(L, Lt)
-            for i in range(n):
+                root[i, j] = root0[i, j]
+        for k in range(steps):
+            predict(x, root, F, Q, P, FR, Fx)
+            cholesky(P, root)
+            for i in range(3):
                 point[0, i] = x[i]
-                V[0, i] = 0.0
-                for l in range(n):
+                for l in range(3):
                     for r in range(TILE):
-                        step = spread * Lt[l, i, r]
-                        point[1 + l, i, r], point[1 + n + l, i, r] = x[i, r] + step, x[i, r] - step
-                        V[1 + l, i, r], V[1 + n + l, i, r] = root[1] * step, -root[1] * step
+                        step = spread * root[i, l, r] if l <= i else 0.0
+                        point[1 + l, i, r], point[4 + l, i, r] = x[i, r] + step, x[i, r] - step
             b[:] = 0.0
             M[:] = 0.0
-            for i in range(S):
+            for i in range(4):
                 M[i, i] = 1.0
             for j in range(B):
-                for i in range(S):
+                for i in range(7):
                     seen_from(point[i], s[j], rot[j], local)
                     direction(kind, local, image[i])
                 for l in range(d):
                     load_step(Y, start, k, d * j + l, y)
                     load_step(quality, start, k, d * j + l, nominal)
                     mean[:] = 0.0
-                    for i in range(S):
+                    for i in range(1, 7):
                         deviation(kind, l, image[i, l], image[0, l], z[i])
                         for r in range(TILE):
-                            mean[r] += weight[i] * z[i, r]
+                            mean[r] += each * z[i, r]
                     if form == CENTRE or kind != AZEL_ADAPTIVE:
                         variance(kind, l, image[0, 1], nominal, table, var)
                     else:
                         var[:] = 0.0
-                        for i in range(S):
+                        for i in range(7):
                             variance(kind, l, image[i, 1], nominal, table, one)
                             for r in range(TILE):
-                                var[r] += weight[i] * one[r]
+                                var[r] += (each if i else centre) * one[r]
                     for r in range(TILE):
                         expected[r] = image[0, l, r] + mean[r]
-                    innovation(kind, l, y, expected, var, v, W)
-                    for i in range(S):
+                        z[0, r] = -still * mean[r]
+                    for i in range(1, 4):
                         for r in range(TILE):
-                            z[i, r] = root[i] * (z[i, r] - mean[r])
-                    for i in range(S):
+                            p, q = z[i, r], z[3 + i, r]
+                            z[i, r], z[3 + i, r] = half * (p + q - 2.0 * mean[r]), half * (p - q)
+                    innovation(kind, l, y, expected, var, v, W)
+                    for i in range(7):
                         for r in range(TILE):
                             one[r] = z[i, r] * W[r]
                         add(b[i], one, v)
                         for q in range(i + 1):
                             add(M[i, q], one, z[q])
-            cholesky(M, G)
-            forward(G, V, b)
-            conclude(x, P, V, b)
-            store(x, P, start, k, means, covariances)
+            eliminate(M, b)
+            for i in range(3):
+                w[G + i] = b[4 + i]
+                for j in range(i + 1):
+                    w[A + i * (i + 1) // 2 + j] = M[4 + i, 4 + j]
+                    w[L + i * (i + 1) // 2 + j] = 1.0 if i == j else 0.0
+            update(w)
+            conclude(x, root, w)
+            store(x, root, start, k, means, covariances)

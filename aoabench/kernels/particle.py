@@ -2,13 +2,16 @@
 
 The arithmetic is `filters/particle.py`'s. What differs is the order and the precision:
 
-- Philox4x32-10 [Salmon et al., SC 2011] with the counter (place, step, replication, stream): every filter of a
-  replication moves its particles by the same normals, whoever computes them, and as many as it likes.
-- positions are relative to the prior's mean; azimuths are measured from the measured azimuth (the anchor's frame is
-  turned by it), so that no difference of angles needs wrapping: |a| = 2 atan(|y| / (rho + |x|)).
-- loops run over tiles of `TILE` particles, the last one padded with weight 0, so that the compiler vectorises them:
-  no calls inside, arrays contiguous, constant length.
-- sums of weights are single precision within a tile and double over tiles; cumulative weights are double.
+- Philox4x32-10 [Salmon et al., SC 2011] with the counter (place, step, replication, stream): every
+  filter of a replication moves its particles by the same normals, whoever computes them, and as
+  many as it likes.
+- positions are relative to the prior's mean; azimuths are measured from the measured azimuth (the
+  anchor's frame is turned by it), so that no difference of angles needs wrapping:
+  |a| = 2 atan(|y| / (rho + |x|)).
+- loops run over tiles of `TILE` particles, the last one padded with weight 0, so that the compiler
+  vectorises them: no calls inside, arrays contiguous, constant length.
+- sums of weights are single precision within a tile and double over tiles; cumulative weights are
+  double.
 
 Whoever changes this file: kernels may use nothing but this file (the cache on disk sees only its
 own), and `tests/theory/test_particle_kernels.py` reads the generated machine code.
@@ -385,10 +388,11 @@ def loglik(kind, x, y, z, terms, table, out):
     position first, then
 
     - UNIT_VECTOR: the measured direction in the global frame, kappa / 2
-    - AZEL: the rotation into the anchor's frame turned by the measured azimuth, the measured elevation,
-      1 / (2 variance) of azimuth and of elevation
-    - AZEL_ADAPTIVE: the same with 1 or 0 (measured or not) in place of these two; they stand in `table` (4 x 181), in
-      pairs for -90, -89 ... 90 degrees of elevation, and after them half their logarithms.
+    - AZEL: the rotation into the anchor's frame turned by the measured azimuth, the measured
+      elevation, 1 / (2 variance) of azimuth and of elevation
+    - AZEL_ADAPTIVE: the same with 1 or 0 (measured or not) in place of these two; they stand in
+      `table` (4 x 181), in pairs for -90, -89 ... 90 degrees of elevation, and after them half
+      their logarithms.
     """
     tile, scratch = carray(stack(TILE), TILE), carray(stack(SCRATCH), SCRATCH)
     for o in range(0, len(x), TILE):
@@ -509,8 +513,8 @@ def flat(A):
 
 
 @kernel(
-    "void(i8, i8, f4[:,:,::1], u8, u8, u8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f4[:,:,::1], f4[::1], f8,"
-    "f8[:,::1], f4[:,:,::1])"
+    "void(i8, i8, f4[:,:,::1], u8, u8, u8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f4[:,:,::1],"
+    "f4[::1], f8, f8[:,::1], f4[:,:,::1])"
 )
 def lap(
     kind,

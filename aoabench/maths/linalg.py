@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from aoabench.maths.geometry import Array
@@ -28,16 +30,15 @@ def solve(A: Array, g: Array) -> Array:
 
 
 def cholesky(A: Array) -> Array:
-    """Lower factor (..., n, n) of each A (..., n, n); NaN where A is not positive definite.
+    """Lower factor (R, n, n) of each A (R, n, n); NaN where A is not positive definite.
 
     numpy's own raises for the whole stack when a single matrix is not.
     """
-    n = A.shape[-1]
-    L = np.zeros_like(A)
-    for j in range(n):
-        row = L[..., j, :j]
-        pivot = A[..., j, j] - (row * row).sum(-1)
-        L[..., j, j] = root = np.sqrt(np.where(pivot > 0, pivot, np.nan))
-        for i in range(j + 1, n):
-            L[..., i, j] = (A[..., i, j] - (L[..., i, :j] * row).sum(-1)) / root
-    return L
+    try:
+        return np.linalg.cholesky(A)
+    except np.linalg.LinAlgError:
+        L = np.full_like(A, np.nan)
+        for one, factor in zip(A, L):
+            with suppress(np.linalg.LinAlgError):
+                factor[:] = np.linalg.cholesky(one)
+        return L

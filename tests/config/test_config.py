@@ -26,7 +26,7 @@ from aoabench.resources import shipped
     "aoabench.noise.angular._Angular",
     "aoabench.noise.angular.Measurements",
     "aoabench.models.azel.Batch",
-    "aoabench.filters.kalman.cholesky",
+    "aoabench.filters.kalman.sigma_points",
     "aoabench.noise.angular.__builtins__.eval",
     "aoabench.noisex.Evil",
     "..os.system",

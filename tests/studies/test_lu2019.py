@@ -29,7 +29,9 @@ class Counted:
     def __truediv__(self, o): Counted.n += 1; return Counted(self.v / float(o))
     def __rtruediv__(self, o): Counted.n += 1; return Counted(float(o) / self.v)
     __radd__, __rmul__ = __add__, __mul__
+    def __neg__(self): return Counted(-self.v)
     def __lt__(self, o): return self.v < float(o)
+    def __le__(self, o): return self.v <= float(o)
     def __gt__(self, o): return self.v > float(o)
     def __abs__(self): return Counted(abs(self.v))
     def __float__(self): return self.v
@@ -40,8 +42,8 @@ def counted(a):
     return out
 
 K.TILE = 1
-K.np = SimpleNamespace(empty=lambda shape: counted(np.zeros(shape)), rint=np.rint)
-K.math = SimpleNamespace(sqrt=lambda x: Counted(math.sqrt(float(x))), isnan=lambda x: math.isnan(float(x)), atan2=math.atan2)
+K.np = SimpleNamespace(empty=lambda shape: counted(np.zeros(shape)), zeros=lambda shape: counted(np.zeros(shape)), rint=np.rint)
+K.math = SimpleNamespace(sqrt=lambda x: Counted(math.sqrt(float(x))), isnan=lambda x: math.isnan(float(x)), inf=math.inf, nan=math.nan)
 K.angle = lambda y, x, length: Counted(math.atan2(float(y), float(x)))
 K.wrapped = lambda a: a
 rng, (F, Q) = np.random.default_rng(0), ConstantAcceleration(0.1).matrices(0.1)

@@ -1,0 +1,68 @@
+"""Covariances as square roots, P = B B^T: symmetric and positive definite whatever is rounded.
+
+A predicted covariance is a sum of squares and gets a Cholesky factor; a measurement shrinks the
+factor in Potter's form. Nothing is subtracted from a covariance. Where one is formed, its diagonal
+grows by n (n + k) eps, which is more than its sums of k terms and a Cholesky factor of it lose in
+rounding (both are bounded by multiples of sqrt(P_ii P_jj) [Higham 2002, Theorem 10.3, 10.7]).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aoabench.maths.geometry import Array
+from aoabench.maths.linalg import cholesky
+
+EPS = float(np.finfo(float).eps)
+INDEFINITE = -1e-9  # of a correlation matrix: an eigenvalue below is no rounding
+
+
+def prior_root(P: Array) -> Array:
+    """A lower factor B (n, n) of P = B B^T for a positive semidefinite P; NaN for any other."""
+    P = np.asarray(P, dtype=float)
+    if not np.isfinite(P).all():
+        return np.full_like(P, np.nan)
+    diagonal = np.diag(P)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(P / np.outer(scale, scale))
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(np.where(values > INDEFINITE, np.maximum(values, 0.0), np.nan))
+    return np.linalg.qr((scale[:, None] * vectors * root).T)[1].T
+
+
+def covariance(B: Array) -> Array:
+    """P (..., n, n) of a factor B (..., n, k)."""
+    n, k = B.shape[-2:]
+    P = B @ np.swapaxes(B, -1, -2)
+    P = 0.5 * (P + np.swapaxes(P, -1, -2))
+    P[..., range(n), range(n)] *= 1.0 + n * (n + k) * EPS
+    return P
+
+
+def predicted(B: Array, F: Array, Q: Array) -> Array:
+    """A lower factor (..., n, n) of F P F^T + Q from a factor B (..., n, k) of P."""
+    n, k = B.shape[-2:]
+    FB = F @ B
+    P = FB @ np.swapaxes(FB, -1, -2) + Q
+    P[..., range(n), range(n)] *= 1.0 + n * (n + k) * EPS
+    return cholesky(P)
+
+
+def absorb(x: Array, B: Array, f: Array, v: Array, r: Array) -> tuple[Array, Array]:
+    """Mean (R, n) and factor (R, n, k) of x + B z, z ~ N(0, I), given v = f^T z + e, e ~ N(0, r).
+
+    f (R, k, m), v and r (R, m), r >= 0; a component whose v is NaN is not measured. One component
+    after the other in Potter's form: with s = r + f^T f, x += B f v / s and B -= B f f^T / (s +
+    sqrt(r s)); the other components' f and what is left of their v change like B and x.
+    """
+    n, missing = x.shape[1], np.isnan(v)
+    t = np.concatenate([x, np.where(missing, 0.0, -v)], axis=1)
+    E = np.concatenate([B, np.where(missing[..., None], 0.0, np.swapaxes(f, -1, -2))], axis=1)
+    r = np.where(missing, 1.0, r)
+    for j in range(v.shape[1]):
+        g = E[:, n + j]
+        s = r[:, j] + np.einsum("rk,rk->r", g, g)
+        w = np.einsum("rik,rk->ri", E, g)
+        t = t - w * (t[:, n + j] / s)[:, None]
+        E = E - w[:, :, None] * (g / (s + np.sqrt(r[:, j] * s))[:, None])[:, None, :]
+    return t[:, :n], E[:, :n]
