@@ -1,4 +1,4 @@
-"""The roles that plug-ins play: scenario, noise, motion model, measurement model, estimator, filter.
+"""Roles that plug-ins play: scenario, noise, motion model, measurement model, estimator, filter.
 
 Each role is a plain base class. What a plug-in may leave out is an attribute or a method with a
 default here, so that a type checker sees it. The base classes are no dataclasses: the fields of a
@@ -269,7 +269,7 @@ class PlainEstimator(Estimator):
 
 
 class Filter(Estimator):
-    """A recursive estimator: it believes a measurement model and the scenario's motion and prior."""
+    """A recursive estimator: believes a measurement model and the scenario's motion and prior."""
 
     measurement: Measurement
 

@@ -1,7 +1,7 @@
 """Objects take on their roles: the one place that looks at what a user's object has.
 
 Scenarios, noises and measurement models derive from the base classes in `roles`. An estimator may
-also be any callable (batch, scenario, streams) -> Estimates: a class instance, a function, a lambda.
+also be any callable (batch, scenario, streams) -> Estimates: an object, a function, a lambda.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Long tables: anchors from a file, and measurements and anchors as tables that can be read back."""
+"""Long tables: anchors from a file; measurements and anchors as tables that can be read back."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 def read_anchors(key: str, path: str) -> tuple[list[str], Anchors]:
-    """Ids and anchors (1, 1, B, ...) from id, x_m, y_m and, 0 by default, z_m, facing_deg, pitch_deg,
-    roll_deg.
+    """Ids and anchors (1, 1, B, ...) from id, x_m, y_m and, 0 by default, z_m, facing_deg,
+    pitch_deg, roll_deg.
 
     Rz(facing) Ry(pitch) Rx(roll) turns the anchor's axes from the global ones: with facing alone
     local x looks along it, y to the left, z up, as in `plan.read_anchors`.

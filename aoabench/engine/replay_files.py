@@ -62,7 +62,7 @@ def _picture(replay: Replay, path: Path) -> Path:
 
 
 def _exported(replay: Replay, path: Path, kind: str) -> str:
-    """Write <path>-measurements.<kind> and <path>-anchors.csv; return the command that reads them."""
+    """Write <path>-measurements.<kind>, <path>-anchors.csv; return the command that reads them."""
     measurements, known = longtable.as_tables(replay.batch, replay.truth[0])
     log, anchors = (
         path.with_name(f"{path.stem}-{what}") for what in (f"measurements.{kind}", "anchors.csv")

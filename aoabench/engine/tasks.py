@@ -1,4 +1,4 @@
-"""A task: one block of replications of one cell, computed by a worker, which writes its parts itself."""
+"""A task: one block of replications of one cell. The worker that computes it writes its parts."""
 
 from __future__ import annotations
 

@@ -183,7 +183,7 @@ class AccessNodeEKF(Compiled, Estimator):
 
 
 def _variances(anchors: Anchors) -> Array:
-    """Variances (R|1, B, 3) m^2 of the ANs' positions as they are stated; 0 where they are exact."""
+    """Variances (R|1, B, 3) m^2 of the ANs' positions as stated; 0 where they are exact."""
     sigma = anchors.position_sigma
     return np.zeros((1, anchors.count, 3)) if sigma is None else np.square(sigma[:, 0])
 

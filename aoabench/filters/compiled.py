@@ -1,7 +1,7 @@
 """Which kernel computes what a measurement model's methods do.
 
-A measurement model says so by its own class attribute `kernel`. A subclass does not inherit that: it may change what
-the kernel would not know of.
+A measurement model says so by its own class attribute `kernel`. A subclass does not inherit that:
+it may change what the kernel would not know of.
 """
 
 from __future__ import annotations

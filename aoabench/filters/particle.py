@@ -253,8 +253,8 @@ def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:
 
 
 def systematic(w: Array, offset: float) -> np.ndarray:
-    """Ancestors (N,) by systematic resampling of weights w (N,), sum 1, with one uniform `offset` in
-    [0, 1).
+    """Ancestors (N,) by systematic resampling of weights w (N,), sum 1, with one uniform `offset`
+    in [0, 1).
 
     Particle i gets floor(N w_i) or one more children, N w_i of them in the mean. O(N): how many of
     the points (j + offset) / N, j = 0 ... N-1, lie below each cumulative weight.

@@ -3,7 +3,7 @@
 A predicted covariance is a sum of squares and gets a Cholesky factor; a measurement shrinks the
 factor in Potter's form. Nothing is subtracted from a covariance. Where one is formed, its diagonal
 grows by n (n + k) eps, which is more than its sums of k terms and a Cholesky factor of it lose in
-rounding (both are bounded by multiples of sqrt(P_ii P_jj) [Higham 2002, Theorem 10.3, 10.7]).
+rounding (both are bounded by multiples of sqrt(P_ii P_jj) [Higham 2002, Theorems 10.5, 10.7]).
 """
 
 from __future__ import annotations
@@ -55,14 +55,15 @@ def absorb(x: Array, B: Array, f: Array, v: Array, r: Array) -> tuple[Array, Arr
     after the other in Potter's form: with s = r + f^T f, x += B f v / s and B -= B f f^T / (s +
     sqrt(r s)); the other components' f and what is left of their v change like B and x.
     """
-    n, missing = x.shape[1], np.isnan(v)
-    t = np.concatenate([x, np.where(missing, 0.0, -v)], axis=1)
-    E = np.concatenate([B, np.where(missing[..., None], 0.0, np.swapaxes(f, -1, -2))], axis=1)
-    r = np.where(missing, 1.0, r)
-    for j in range(v.shape[1]):
-        g = E[:, n + j]
-        s = r[:, j] + np.einsum("rk,rk->r", g, g)
-        w = np.einsum("rik,rk->ri", E, g)
-        t = t - w * (t[:, n + j] / s)[:, None]
-        E = E - w[:, :, None] * (g / (s + np.sqrt(r[:, j] * s))[:, None])[:, None, :]
-    return t[:, :n], E[:, :n]
+    m, missing = v.shape[1], np.isnan(v)
+    f, r = np.where(missing[:, None], 0.0, f), np.where(missing, 1.0, r).T
+    t = np.concatenate([np.where(missing, 0.0, -v), x], axis=1)
+    E = np.concatenate([np.swapaxes(f, -1, -2), B], axis=1)
+    t, E = np.ascontiguousarray(t.T), np.ascontiguousarray(E.transpose(1, 2, 0))  # the fastest
+    for j in range(m):
+        g, rest = E[j], slice(j + 1, None)
+        s = r[j] + (g * g).sum(0)
+        w = np.einsum("ikr,kr->ir", E[rest], g)
+        t[rest] -= w * (t[j] / s)
+        E[rest] -= w[:, None] * (g / (s + np.sqrt(r[j] * s)))
+    return t[m:].T, E[m:].transpose(2, 0, 1)

@@ -35,7 +35,7 @@ def cholesky(A: Array) -> Array:
     numpy's own raises for the whole stack when a single matrix is not.
     """
     try:
-        return np.linalg.cholesky(A)
+        return np.asarray(np.linalg.cholesky(A), dtype=float)
     except np.linalg.LinAlgError:
         L = np.full_like(A, np.nan)
         for one, factor in zip(A, L):
