@@ -20,6 +20,8 @@ from aoabench.types import Anchors, BadValue, Batch, Outcome
 ENGINES = ("auto", "numpy")
 INTERSECTIONS = ("boxes", "exact")
 K = load("estimators.discrepancy_kernels")
+for part in (K.crossings, K.common_ellipses, K.common_boxes, K.area_ratio, K.box_ratio):
+    part.enable_caching()  # called from here they are compiled by themselves, which takes seconds
 
 
 class Plane:
