@@ -331,6 +331,7 @@ def test_a_second_run_says_that_it_waits_and_computes_nothing_twice(reference, t
     words = [*WORDS, "runner.n_jobs=1", f"runner.out={tmp_path}"]
     first = Command(*words)
     wait_for(lambda: len(seals(tmp_path)) > 3, first)
+    os.kill(first.pid, signal.SIGSTOP)  # so that it does not end before the second one has begun
     second = Command(*words)
     line = wait_for(second.said.read_text, second)
     assert line.startswith(f"aoabench: another run (process {first.pid} on ")

@@ -31,7 +31,7 @@ def test_interrupted_runs_leave_whole_parts_and_go_on(backend, tmp_path):
     deadline = time.monotonic() + PATIENCE_S
     while not list(tmp_path.glob("parts/*/*.json")) and command.running():
         assert time.monotonic() < deadline, "nothing was finished"
-        time.sleep(0.05)
+        time.sleep(0.005)
     os.killpg(command.pid, signal.SIGINT)  # the whole group, as from a terminal
     begin = time.monotonic()
     status, _ = command.finished()

@@ -16,7 +16,8 @@ def test_a_hundred_cells_leave_memory_and_handles_as_they_were(tmp_path, monkeyp
     """In this process, where all work is done; looked at after a fifth of the tasks, when
     everything has been loaded.
     """
-    words = ["filter=[ekf_vmf]", "reps=2", "runner.n_jobs=1", f"runner.out={tmp_path}"]
+    words = ["filter=[pf_vmf]", "filter.pf_vmf.particles=20"]
+    words += ["reps=2", "runner.chunk=2", "runner.n_jobs=1", f"runner.out={tmp_path}"]
     first = compose_cells(words)[0]
     cells = [
         replace(first, seed=seed, config={**first.config, "seed": seed}) for seed in range(CELLS)

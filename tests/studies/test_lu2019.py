@@ -194,7 +194,12 @@ def test_each_erratum_is_taken_alone(rng):
         assert rmse[key] == pytest.approx(factor, rel=0.2)
 
 
-def test_every_printed_id_and_effect_is_found_and_every_figure_draws(rng):
+@pytest.fixture(scope="module")
+def fig2():
+    return N.fig2("quick")
+
+
+def test_every_printed_id_and_effect_is_found_and_every_figure_draws(rng, fig2):
     import matplotlib.pyplot as plt
 
     levels = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0]
@@ -204,7 +209,7 @@ def test_every_printed_id_and_effect_is_found_and_every_figure_draws(rng):
         for name in N.METHODS[:2] for t in (5.0, 20.0, 30.0)
     ]  # fmt: skip
     tables = {
-        "table1": N.table1("quick"), "fig2": N.fig2("quick"), "fig4": N.fig4(made_up(levels, rng)),
+        "table1": N.table1("quick"), "fig2": fig2, "fig4": N.fig4(made_up(levels, rng)),
         "fig3": pd.DataFrame(
             [("cdf", n, x, 0.5, np.nan, 8) for n in ("toa_m", "azimuth_deg", "elevation_deg") for x in (-1.0, 1.0)]
             + [(k, n, np.nan, 90.0, 1.0, 8) for k, n in (
@@ -232,8 +237,8 @@ def test_every_printed_id_and_effect_is_found_and_every_figure_draws(rng):
             plt.close(figure)
 
 
-def test_the_map_counts_what_the_paper_says():
-    values = LU.figures.fig2_values(N.fig2("quick"))
+def test_the_map_counts_what_the_paper_says(fig2):
+    values = LU.figures.fig2_values(fig2)
     assert values["fig2/length_m"].value == 150
     assert values["fig2/width_m"].value == 112
     assert values["fig2/least_line_of_sight"].value >= 4

@@ -176,16 +176,14 @@ def test_figure_1_equals_numerical_integration_at_every_degree():
     s, t = np.deg2rad(10), np.linspace(-9, 9, 200_000)
     w = np.exp(-0.5 * t**2)
     w /= w.sum()
+    azimuth = [w @ g.wrap(s * t + np.pi * turned) ** 2 for turned in (False, True)]
     for b in np.deg2rad(np.arange(-90.0, 91.0)):
         _, e = d.flip(np.zeros_like(t), b + s * t)
         assert d.flipped_elevation_moments(b, s)[1] == pytest.approx(
             np.sqrt(w @ (e - b) ** 2), abs=1e-4
         )
-        over = np.cos(b + s * t) < 0
-        square = sum(
-            w[over == turned].sum() * (w @ g.wrap(s * t + np.pi * turned) ** 2)
-            for turned in (False, True)
-        )
+        over = w[np.cos(b + s * t) < 0].sum()
+        square = (1 - over) * azimuth[False] + over * azimuth[True]
         assert d.flipped_azimuth_std(b, s) == pytest.approx(np.sqrt(square), abs=1e-4)
 
 

@@ -210,16 +210,19 @@ def test_selectors_select(rng):
 
 def test_clipping_is_a_flag():
     words = ("noise.sigma_deg=25", "scenario.packets=20")
-    for name in ("single_anchor_1", "anchor_mean", "ls_lines", "vmf_ml", "discrepancy"):
-        inside = {}
-        for clip in ("true", "false"):
-            cell = room(*words, f"estimator.{name}.clip={clip}", estimator=name)
-            _, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 1)
+    names = ("single_anchor_1", "anchor_mean", "ls_lines", "vmf_ml", "discrepancy")
+    inside = {}
+    for clip in ("true", "false"):
+        clips = [f"estimator.{name}.clip={clip}" for name in names]
+        cell = room(*words, *clips, estimator=",".join(names))
+        _, batch = Draws(cell.scenario, cell.noise, 1).tile(0, 1)
+        for name in names:
             xy = cell.estimators[name](batch, cell.scenario, None).position[..., :2]
-            inside[clip] = np.all((xy >= 0) & (xy <= [7.2, 8.5]) | np.isnan(xy))
-        assert inside["true"], name
+            inside[name, clip] = np.all((xy >= 0) & (xy <= [7.2, 8.5]) | np.isnan(xy))
+    for name in names:
+        assert inside[name, "true"], name
         if name != "discrepancy":  # its far ellipses seldom agree
-            assert not inside["false"], name
+            assert not inside[name, "false"], name
 
 
 @pytest.mark.parametrize(("words", "says"), [
