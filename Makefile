@@ -16,7 +16,7 @@ help:
 	@echo "make report       draw the figures and the page again from the committed tables"
 	@echo "make test         the whole test suite"
 	@echo "make lint         ruff and mypy"
-	@echo "make bench        speed and memory, against other libraries too, to results/bench and the README (15 minutes)"
+	@echo "make bench        speed and memory, against other libraries too, to results/bench and docs/bench.md (15 minutes)"
 	@echo "make notebooks    execute results/notebooks in place"
 	@echo "make lock         resolve requirements.lock again (needs uv)"
 	@echo "make clean        remove the environment and the raw replications"

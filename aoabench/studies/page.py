@@ -6,13 +6,13 @@ import base64
 import io
 import json
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aoabench.maths.digest import flatten
 from aoabench.report.text import number_text
 from aoabench.store.files import read_provenance, write_atomically
-from aoabench.studies import prose
 from aoabench.studies.reading import OTHER_VERSION, read
 from aoabench.studies.study import Study, figure_path, table_path
 from aoabench.studies.verdict import (
@@ -111,8 +111,35 @@ def _study(
         )
     errata = [{**e, "effect_text": _effect(e.get("effect"), found)} for e in study.errata]
     readme = study.folder / "README.md"
-    readings = prose.html(readme.read_text(encoding="utf-8")) if readme.exists() else ""
-    return {"study": study, "items": items, "readings": readings, "errata": errata}
+    text = readings(readme.read_text(encoding="utf-8")) if readme.exists() else ""
+    return {"study": study, "items": items, "readings": text, "errata": errata}
+
+
+def readings(markdown: str) -> str:
+    """HTML of a study's README without its title: second-level headings become <h4>.
+
+    Of links and images the text remains, as the page stands alone; HTML in the text stays text.
+    """
+    from markdown_it import MarkdownIt
+
+    parser = MarkdownIt("commonmark", {"html": False}).enable("table")
+    rules = {
+        "link_open": "",
+        "link_close": "",
+        "table_open": '<div class="scroll"><table>\n',
+        "table_close": "</table></div>\n",
+    }
+    for name, html in rules.items():
+        parser.add_render_rule(name, lambda *_, html=html: html)
+    parser.add_render_rule("image", lambda _, tokens, i, *rest: escape(tokens[i].content))
+    tokens = parser.parse(markdown)
+    titles = [i for i, t in enumerate(tokens) if (t.type, t.tag) == ("heading_open", "h1")]
+    for i in reversed(titles):
+        del tokens[i : i + 3]  # it, its text and its end
+    for token in tokens:
+        if token.type in ("heading_open", "heading_close"):
+            token.tag = f"h{min(int(token.tag[1]) + 2, 6)}"
+    return str(parser.renderer.render(tokens, parser.options, {}))
 
 
 def embedded(figure: Path, colours: int = 255) -> str:

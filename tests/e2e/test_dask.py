@@ -13,18 +13,12 @@ import pandas as pd
 import pytest
 
 import aoabench
-<<<<<<< HEAD
 from aoabench.cli.main import main
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.store import keys
 from aoabench.store.parts import intact_parts
-=======
-from aoabench import runner, store
-from aoabench.cli import main
-from aoabench.composing import compose_cells
 from tests.commands import PATIENCE_S, Command
->>>>>>> wt-c
 
 pytest.importorskip("distributed", reason="Dask is not installed: pip install 'aoabench[dask]'")
 

@@ -13,7 +13,7 @@ from aoabench.maths.statistics import Estimate
 from aoabench.report import animation, plots
 from aoabench.report.text import number_text
 from aoabench.store.files import read_provenance, write_frame
-from aoabench.studies import claims, page, prose, reading, reproduce, study
+from aoabench.studies import claims, page, reading, reproduce, study
 
 RESULTS = Path(__file__).parents[2] / "results"
 COMMITTED = [
@@ -226,16 +226,66 @@ def test_an_embedded_figure_is_smaller_and_looks_the_same(results):
     assert np.sqrt(np.mean((small - large) ** 2)) < 4  # of 255
 
 
-def test_readings_become_html_and_nothing_in_them_is_code_for_the_browser():
-    text = "# T\n\n## H *a*\n\nOne <b>\ntwo `x<y` **bold** [words](a.md)\n\n| a | b |\n|---|---|\n| `1` | 2 |\n\n- first\n  goes on\n- second\n"
-    html = prose.html(text)
+READINGS = """# Title
+
+## H *a*
+
+One <b>
+two `x<y` **bold** [words](a.md) ![picture](b.png) <https://a.b>
+
+| a | b |
+|---|---|
+| `1` | 2 |
+
+- first
+  goes on
+- second
+
+### Third
+
+    indented <i>
+"""
+
+
+def test_readings_become_html_with_shifted_headings_and_links_without_targets():
+    html = page.readings(READINGS)
+    assert "Title" not in html
+    assert "<h1" not in html
     assert "<h4>H <em>a</em></h4>" in html
-    assert "<p>One &lt;b&gt; two <code>x&lt;y</code> <strong>bold</strong> words</p>" in html
-    assert "<tr><th>a</th><th>b</th></tr>" in html
-    assert "<tr><td><code>1</code></td><td>2</td></tr>" in html
-    assert "<ul><li>first goes on</li><li>second</li></ul>" in html
-    assert "<T" not in html
-    assert "<script>" not in prose.html("<script>alert(1)</script>")
+    assert "<h5>Third</h5>" in html
+    assert (
+        "<p>One &lt;b&gt;\ntwo <code>x&lt;y</code> <strong>bold</strong> words picture https://a.b</p>"
+        in html
+    )
+    assert '<div class="scroll"><table>\n<thead>\n<tr>\n<th>a</th>\n<th>b</th>' in html
+    assert "<td><code>1</code></td>\n<td>2</td>" in html
+    assert "</table></div>" in html
+    assert "<li>first\ngoes on</li>\n<li>second</li>" in html
+    assert "<pre><code>indented &lt;i&gt;" in html
+
+
+@pytest.mark.parametrize("text", [
+    "<script>alert(1)</script>",
+    "a <img src=x onerror=alert(1)> b",
+    "[words](javascript:alert(1))",
+    "![<script>](x.png)",
+    "| <script> |\n|---|\n| <b onclick=x> |",
+    "```html\n<script>\n```",
+    "# <script>",
+    "## <script>",
+])  # fmt: skip
+def test_nothing_in_readings_is_code_for_the_browser(text):
+    html = page.readings(text)
+    assert not re.search(r"<(script|img|b|a)\b", html)
+    assert "href" not in html
+
+
+def test_every_study_has_readings_with_closed_tags():
+    for name in study.names():
+        html = page.readings((study.load(name).folder / "README.md").read_text(encoding="utf-8"))
+        assert "<h4>" in html
+        for tag in ("p", "ul", "ol", "li", "table", "tr", "td", "th", "h4", "code", "pre", "div"):
+            assert len(re.findall(rf"<{tag}\b", html)) == html.count(f"</{tag}>"), f"{name} {tag}"
 
 
 @pytest.mark.parametrize(("verdict", "reason", "entry", "ours"), [

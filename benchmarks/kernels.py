@@ -1,0 +1,140 @@
+"""What the particle filters' kernel pays for being general, and what for single precision."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aoabench.engine import runner
+from aoabench.kernels import loading
+from aoabench.store import tables
+from benchmarks.filters import PARTICLES
+from benchmarks.timing import MODELS, Row, cell_of, in_turn
+
+CALLS = 100  # of a piece, as one of them takes microseconds
+
+
+def generality(repeats: int) -> Iterator[Row]:
+    """Cost of any number of anchors and particles against a likelihood written for four anchors."""
+    K = loading.load("kernels.particle")
+    if K is None:
+        return
+    actions = _pieces(K)
+    ns = {
+        name: 1e9 * seconds / CALLS / PARTICLES
+        for name, seconds in in_turn(actions, repeats).items()
+    }
+    how = (
+        "a kernel alone on 10 000 particles, 4 anchors; "
+        "normals are drawn once for all filters of a replication, and "
+        "resampling happens in a third (VMF) to two thirds (AE-nominal) of the steps"
+    )
+    for name in list(actions)[:-1]:
+        yield Row("part of a particle-step", name, ns[name], "ns", "", how)
+    how = (
+        "log likelihood (VMF): any number of anchors, against their loop unrolled by hand for four"
+    )
+    more = 100 * (ns["likelihood, VMF"] / ns["four"] - 1)
+    yield Row("cost of generality", "4 anchors", more, "%", "", how)
+
+
+def _pieces(K: Any) -> dict[str, Callable[[], Any]]:
+    """The pieces of a particle-step, each called CALLS times, and last the likelihood for four
+    anchors.
+    """
+    rng = np.random.default_rng(0)
+    M = -(-PARTICLES // K.TILE) * K.TILE
+    particles = rng.standard_normal((3, M)).astype(np.float32)
+    x, y, z = particles
+    terms, out = rng.random((4, K.TERMS), dtype=np.float32), np.empty(M, dtype=np.float32)
+    table, w = np.ones(2 * K.PAIRS, dtype=np.float32), rng.random(M, dtype=np.float32)
+    children = np.empty_like(particles)
+    w[PARTICLES:] = 0
+    scratch = np.empty(M), np.empty(M, dtype=np.int32), np.empty(M + 1, dtype=np.float32)
+
+    def often(action: Callable[..., Any], *given: Any) -> Callable[[], Any]:
+        return lambda: [action(*given) for _ in range(CALLS)]
+
+    models = {"VMF": K.UNIT_VECTOR, "AE": K.AZEL, "AE-adaptive": K.AZEL_ADAPTIVE}
+    return {
+        "normals": often(K.normals, children, 1, 2, 3, 4),
+        **{
+            f"likelihood, {name}": often(K.loglik, kind, x, y, z, terms, table, out)
+            for name, kind in models.items()
+        },
+        "resampling": often(K.resample, w, PARTICLES, 0.3, *scratch, particles, children),
+        "four": often(_four_anchors(K), x, y, z, terms, out),
+    }
+
+
+def _four_anchors(K: Any) -> Callable[..., None]:
+    from numba import njit
+
+    one, tiny, tile, options = K.ONE, K.TINY, K.TILE, K.OPTIONS
+
+    @njit(forceinline=True, **options)
+    def term(x, y, z, t):  # type: ignore[no-untyped-def]
+        px, py, pz = x - t[0], y - t[1], z - t[2]
+        inverse = one / math.sqrt(px * px + py * py + pz * pz + tiny)
+        ex, ey, ez = t[3] - px * inverse, t[4] - py * inverse, t[5] - pz * inverse
+        return t[6] * (ex * ex + ey * ey + ez * ez)
+
+    @njit(**options)
+    def four(x, y, z, terms, out):  # type: ignore[no-untyped-def]
+        a, b, c, d = terms[0], terms[1], terms[2], terms[3]
+        a, b = (
+            (a[0], a[1], a[2], a[3], a[4], a[5], a[6]),
+            (b[0], b[1], b[2], b[3], b[4], b[5], b[6]),
+        )
+        c, d = (
+            (c[0], c[1], c[2], c[3], c[4], c[5], c[6]),
+            (d[0], d[1], d[2], d[3], d[4], d[5], d[6]),
+        )
+        for o in range(0, len(x), tile):
+            xs, ys, zs, os = x[o : o + tile], y[o : o + tile], z[o : o + tile], out[o : o + tile]
+            for i in range(tile):
+                p, q, r = xs[i], ys[i], zs[i]
+                os[i] = -(term(p, q, r, a) + term(p, q, r, b) + term(p, q, r, c) + term(p, q, r, d))
+
+    return four
+
+
+def precision(repeats: int) -> Iterator[Row]:
+    """What single precision does to the RMSE, in units of its Monte Carlo standard error at 1000
+    replications.
+
+    The kernel against `engine=double`, which follows it draw by draw and parent by parent, so that
+    rounding is all that differs. The worse of the two data models counts, with three of the mean
+    difference's own standard errors added.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        for model in MODELS:
+            name = f"pf_{model}"
+            value, how = max(_rounding(name, noise, folder) for noise in ("vmf", "ae_flip"))
+            yield Row("single precision", name, value, "s.e.", "at most 0.1", how)
+
+
+def _rounding(name: str, noise: str, folder: str, reps: int = 200) -> tuple[float, str]:
+    """What single precision does to a filter's RMSE on one data model, and how it was measured."""
+    words = [f"noise={noise}", f"reps={reps}", f"runner.out={folder}"]
+    cells = [
+        cell_of(*words, f"filter.{name}.engine={engine}", filters=[name])
+        for engine in ("auto", "double")
+    ]
+    runner.run(cells, progress=False)
+    frame = tables.load(Path(folder))
+    frame = frame[frame["estimator"] == name].set_index("replication")
+    fast, exact = (frame.loc[frame["cell"] == c.id, "rmse_3d_m"] for c in cells)
+    unit, difference = exact.std() / math.sqrt(1000), fast - exact
+    mean, se = abs(difference.mean()) / unit, difference.std() / math.sqrt(reps) / unit
+    how = (
+        "mean difference + 3 of its s.e. from double precision on the same draws and parents, "
+        f"{reps} replications, in s.e. of the RMSE at 1000; 10 000 particles, "
+        f"the worse data model; mean {mean:.2g} +- {se:.1g}"
+    )
+    return mean + 3 * se, how
