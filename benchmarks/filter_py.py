@@ -4,14 +4,13 @@ its systematic resampling.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, JulierSigmaPoints, UnscentedKalmanFilter
 from filterpy.monte_carlo import systematic_resample
 
 from aoabench.maths.geometry import Array, in_frames, to_azel, wrap
 from aoabench.models.azel import AzEl
+from aoabench.roles import Scenario, believed
 from aoabench.types import Batch
 
 
@@ -21,13 +20,13 @@ class FilterPy:
     A measurement is azimuth and elevation of each anchor in turn (2 B,).
     """
 
-    def __init__(self, scenario: Any, batch: Batch, sigma: float, particles: int) -> None:
-        assert batch.prior_mean is not None
+    def __init__(self, scenario: Scenario, batch: Batch, sigma: float, particles: int) -> None:
+        belief = believed(batch, scenario)
         T, B = batch.azimuth.shape[1:]
-        self.F, self.Q = scenario.motion.matrices(scenario.dt)
+        self.F, self.Q = belief.F, belief.Q
         self.measured = np.stack([batch.azimuth[0], batch.elevation[0]], axis=-1).reshape(T, 2 * B)
         self.dt, self.sigma, self.R = scenario.dt, sigma, sigma**2 * np.eye(2 * B)
-        self.mean, self.cov = batch.prior_mean[0], np.asarray(batch.prior_cov)
+        self.mean, self.cov = belief.mean[0], np.asarray(belief.covariance)
         self.model, self.anchors, self.particles = AzEl(np.rad2deg(sigma)), batch.anchors, particles
 
     def ekf(self) -> Array:

@@ -6,16 +6,17 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from aoabench.cell import Cell
+from aoabench.config.compose import compose_cells
 from aoabench.engine import block
 from aoabench.engine.tiles import Draws
+from aoabench.scenarios.indoor_map import IndoorMap
 from benchmarks import peers
-from benchmarks.timing import MODELS, Laps, Row, both_engines, cell_of, in_turn
+from benchmarks.timing import MODELS, Laps, Row, both_engines, by_engine, cell_of, in_turn
 
 PARTICLES = 10_000
 
@@ -82,7 +83,7 @@ def particle(repeats: int) -> Iterator[Row]:
 def _eight(cells: list[Cell], engine: str) -> Callable[[], None]:
     """Simulate and filter four replications of each cell, other ones at each call."""
     numbers = itertools.count()
-    given = [(c, {n: replace(e, engine=engine) for n, e in c.estimators.items()}) for c in cells]
+    given = [(c, {n: by_engine(e, engine) for n, e in c.estimators.items()}) for c in cells]
 
     def once() -> None:
         r = 4 * next(numbers)
@@ -111,7 +112,8 @@ def access_nodes(repeats: int) -> Iterator[Row]:
     us = 1e6 * found["numpy"] / slow.steps
     yield Row("access-node step in NumPy", "ekf_toa_aoa", us, "us", "", how)
     begin = time.perf_counter()
-    fresh = replace(cell.scenario)
+    fresh = compose_cells(words)[0].scenario
+    assert isinstance(fresh, IndoorMap)
     fresh.line_of_sight(fresh.truth(np.random.default_rng(0))[:, :3])
     sight = time.perf_counter() - begin
     how = (

@@ -12,12 +12,13 @@ from typing import Any
 
 from aoabench.maths.geometry import Array
 from aoabench.resources import version
+from aoabench.roles import Scenario
 from aoabench.types import Batch
 
 Laps = dict[str, Callable[[], Array]]  # by kind: EKF, UKF, PF
 
 
-def available(scenario: Any, batch: Batch, sigma: float, particles: int) -> dict[str, Laps]:
+def available(scenario: Scenario, batch: Batch, sigma: float, particles: int) -> dict[str, Laps]:
     """EKF, UKF and PF of each library that is installed, for one replication's measurements (1, T,
     B) with a deviation in rad.
     """

@@ -60,10 +60,10 @@ def _scipys(cell: Cell, batch: Batch, streams: Streams) -> Callable[[], Any]:
     """SciPy's least squares on our residual, for the first FIXES fixes, from `ls`' positions."""
     from scipy.optimize import least_squares
 
-    h, anchors = AzEl(1.0), cell.scenario.known_anchors
+    h, anchors = AzEl(1.0), cell.scenario.true_anchors
     y = np.stack([batch.azimuth[0], batch.elevation[0]], axis=-1)
     y = y.reshape(len(y), -1)
-    begin = replace(cell.estimators["ls"])(batch, cell.scenario, streams).position[0]
+    begin = cell.estimators["ls"](batch, cell.scenario, streams).position[0]
 
     def solve(i: int) -> Any:
         return least_squares(

@@ -27,6 +27,7 @@ from stonesoup.updater.kalman import ExtendedKalmanUpdater, UnscentedKalmanUpdat
 from stonesoup.updater.particle import ParticleUpdater
 
 from aoabench.maths.geometry import Array
+from aoabench.roles import Scenario, believed
 from aoabench.types import Batch
 
 START = datetime(2018, 1, 1)
@@ -35,16 +36,15 @@ START = datetime(2018, 1, 1)
 class StoneSoup:
     """The filters for one replication's measurements (1, T, B) with a deviation in rad."""
 
-    def __init__(self, scenario: Any, batch: Batch, sigma: float, particles: int) -> None:
-        assert batch.prior_mean is not None
+    def __init__(self, scenario: Scenario, batch: Batch, sigma: float, particles: int) -> None:
+        belief = believed(batch, scenario)
         self.batch, self.particles = batch, particles
-        self.mean, self.cov = batch.prior_mean[0], np.asarray(batch.prior_cov)
+        self.mean, self.cov = belief.mean[0], np.asarray(belief.covariance)
         self.steps, self.anchors = batch.azimuth.shape[1:]
-        anchors = zip(batch.anchors.position[0], batch.anchors.rotation[0])
+        anchors = zip(*(part[0] for part in batch.anchors.frames))
         self.models = [_seen_from(s, R, sigma) for s, R in anchors]
         self.together = CombinedReversibleGaussianMeasurementModel(self.models)
-        _, Q = scenario.motion.matrices(scenario.dt)
-        walks = [RandomWalk(q) for q in np.diag(Q) / scenario.dt]
+        walks = [RandomWalk(q) for q in np.diag(belief.Q) / scenario.dt]
         self.motion = CombinedLinearGaussianTransitionModel(walks)
         self.times = [START + timedelta(seconds=(k + 1) * scenario.dt) for k in range(self.steps)]
 

@@ -6,11 +6,13 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
 from aoabench.engine.tiles import Draws, tile_of
+from aoabench.kernels.loading import Compiled
+from aoabench.roles import Estimator
 from aoabench.streams import Streams
 
 MODELS = ("vmf", "ae_nominal", "ae_fitted", "ae_adaptive")
@@ -47,14 +49,21 @@ def cell_of(*words: str, filters: Sequence[str] = (), estimators: Sequence[str] 
     return compose_cells([*words, *chosen])[0]
 
 
+def by_engine(estimator: Estimator, engine: str) -> Estimator:
+    """The same estimator with another engine; itself where it has none to choose."""
+    if not isinstance(estimator, Compiled):
+        return estimator
+    other: Any = replace(cast("Any", estimator), engine=engine)
+    return cast("Estimator", other)
+
+
 class Laps:
     """One estimator, called on the next tile of replications each time; only its own work is in the
     time.
     """
 
     def __init__(self, cell: Cell, name: str, engine: str = "auto", tiles: int = 4) -> None:
-        given = cell.estimators[name]
-        self.estimator = replace(given, engine=engine) if hasattr(given, "engine") else given
+        self.estimator = by_engine(cell.estimators[name], engine)
         self.cell, self.next = cell, 0
         size = tile_of(self.estimator, cell.scenario)
         draws = Draws(cell.scenario, cell.noise, cell.seed)
