@@ -349,10 +349,10 @@ def test_changed_source_is_never_reused_and_a_changed_plot_is(tmp_path):
         path.write_text(f"{path.read_text()}\n_CHANGED = True\n")
 
     assert "8 replications x estimators computed, 0 reused" in said()
-    for file in ("report/plots.py", "report/trace.py", "runner.py", "filters/particle.py"):
+    for file in ("report/plots.py", "report/trace.py", "engine/runner.py", "filters/particle.py"):
         change(file)
     assert "0 replications x estimators computed, 8 reused" in said()
-    for file in ("metrics.py", "filters/kalman.py"):
+    for file in ("engine/metrics.py", "filters/kalman.py"):
         change(file)
         assert "8 replications x estimators computed, 0 reused" in said(), file
 
