@@ -51,7 +51,7 @@ def prepare(name: str, say: Callable[[str], None]) -> None:
 
     What comes from the cache on disk is not compiled.
     """
-    with _reporting("compiling kernels for this machine (once, about half a minute) ...", say):
+    with _reporting(say):
         found = load(name)
     if found is None:
         say(
@@ -60,9 +60,19 @@ def prepare(name: str, say: Callable[[str], None]) -> None:
         )
 
 
+def _compiling() -> str:
+    """The line that numba compiles, and where the result goes if that is not the usual folder."""
+    from aoabench.kernels.compile import KEPT
+
+    often = "once" if KEPT.folder else "each time"
+    place = f"; {KEPT.refused} cannot be written" if KEPT.refused else ""
+    place += f", they are kept in {KEPT.folder}" if place and KEPT.folder else ""
+    return f"compiling kernels for this machine ({often}, about half a minute{place}) ..."
+
+
 @contextmanager
-def _reporting(line: str, say: Callable[[str], None]) -> Iterator[None]:
-    """Say `line` when numba starts to compile for the first time in this context."""
+def _reporting(say: Callable[[str], None]) -> Iterator[None]:
+    """Say `_compiling` when numba starts to compile for the first time in this context."""
     try:
         from numba.core import event
     except ImportError:
@@ -75,7 +85,7 @@ def _reporting(line: str, say: Callable[[str], None]) -> Iterator[None]:
         def on_start(self, event: object) -> None:
             if not self.told:
                 self.told = True
-                say(line)
+                say(_compiling())
 
         def on_end(self, event: object) -> None:
             pass

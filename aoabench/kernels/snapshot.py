@@ -4,125 +4,24 @@ fix after the other.
 The arithmetic of `least_squares.py` and `maximum_likelihood.py`. Within a fix the loops run over
 the anchors, padded with weight 0 to a multiple of `LANES`, without calls, so that the compiler
 vectorises them; no fix sees another one.
-
-Kernels may use nothing but this file: the cache on disk sees only its own.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
+
+from aoabench.kernels.angles import HALF_PI, TURN, angle, sine_cosine
+from aoabench.kernels.compile import given, inlined, kernel
+from aoabench.kernels.small import DIVERGED, FAILED, OK, OSCILLATED, SINGULAR, solve
 
 LANES = 4
 ARCTAN, ATAN2, KCORR = range(3)  # what an azimuth's difference means
 AS_MEANT, SIGN, SWAPPED = range(3)  # errata as printed
 PRINTED, INVARIANT = range(2)  # the elevation's rows
-OK, OSCILLATED, DIVERGED, FAILED = 0, 2, 3, 4  # outcomes, as in aoabench.types
-
-OPTIONS: dict[str, Any] = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
-TURN, HALF_PI = 2.0 * math.pi, 0.5 * math.pi
-SINGULAR, FAR, TINY = 1e-12, 1e9, 1e-300
-
-
-def kernel(signature: Any) -> Callable[[Callable], Callable]:
-    """Compile now, or take it from the cache on disk; without the cache where its folder cannot be
-    written.
-    """
-
-    def compile_(function: Callable) -> Callable:
-        try:
-            return njit(signature, cache=True, nogil=True, **OPTIONS)(function)
-        except RuntimeError:
-            return njit(signature, nogil=True, **OPTIONS)(function)
-
-    return compile_
-
-
-inlined = njit(forceinline=True, **OPTIONS)
-
-# ------------------------------------------------------------------- angles, to the last bits of do
-
-_A0, _A1, _A2, _A3 = (
-    1.0 - 3.3e-17,
-    -0.333333333333286125,
-    0.199999999988882964,
-    -0.142857141834355388,
-)
-_A4, _A5, _A6, _A7 = (
-    0.111111062730520832,
-    -0.0909077507849640526,
-    0.0768997990214833756,
-    -0.0664044937578105326,
-)
-_A8, _A9, _A10 = 0.0568941176226270065, -0.0435095403193050827, 0.0211690605246042418
-_S1, _S2, _S3, _S4 = (
-    -0.166666666666666666,
-    0.00833333333333332026,
-    -0.000198412698412530222,
-    2.75573192133478667e-6,
-)
-_S5, _S6, _S7 = -2.50521047273601406e-8, 1.60583462371199003e-10, -7.57779904448778001e-13
-_C1, _C2, _C3, _C4 = (
-    -0.499999999999999993,
-    0.0416666666666664288,
-    -0.00138888888888588082,
-    0.0000248015872828235969,
-)
-_C5, _C6, _C7 = -2.75573128463784456e-7, 2.08755527170372636e-9, -1.13520037105950103e-11
-_REST = 6.123233995736766e-17  # pi / 2 = HALF_PI + _REST
-
-
-@inlined
-def arctan(t):
-    """atan(t), 0 <= t <= 1, halved twice."""
-    s = t / (1.0 + math.sqrt(1.0 + t * t))
-    u = s * s
-    p = _A5 + u * (_A6 + u * (_A7 + u * (_A8 + u * (_A9 + u * _A10))))
-    return 2.0 * s * (_A0 + u * (_A1 + u * (_A2 + u * (_A3 + u * (_A4 + u * p)))))
-
-
-@inlined
-def angle(y, x, length):
-    """atan2(y, x), where length = hypot(x, y); 0 where both are 0."""
-    a = 2.0 * arctan(abs(y) / (length + abs(x) + TINY))
-    return math.copysign(a if x >= 0.0 else math.pi - a, y)
-
-
-@inlined
-def sine_cosine(x):
-    """sin(x) and cos(x), |x| < 1e5."""
-    q = np.rint(x / HALF_PI)
-    r = (x - q * HALF_PI) - q * _REST
-    u = r * r
-    s = r + r * u * (_S1 + u * (_S2 + u * (_S3 + u * (_S4 + u * (_S5 + u * (_S6 + u * _S7))))))
-    c = 1.0 + u * (_C1 + u * (_C2 + u * (_C3 + u * (_C4 + u * (_C5 + u * (_C6 + u * _C7))))))
-    quarter = q - 4.0 * np.floor(0.25 * q)
-    odd = (quarter == 1.0) | (quarter == 3.0)
-    a = c if odd else s
-    b = s if odd else c
-    return -a if quarter >= 2.0 else a, -b if (quarter == 1.0) | (quarter == 2.0) else b
-
-
-# --------------------------------------------------------------------------------------------------
-
-
-@inlined
-def solve(a00, a10, a11, a20, a21, a22, g0, g1, g2):
-    """A^-1 g by Cholesky and whether the pivots are sound."""
-    l10, l20 = a10 / a00, a20 / a00
-    d1 = a11 - l10 * a10
-    e = a21 - l20 * a10
-    l21 = e / d1
-    d2 = a22 - l20 * a20 - l21 * e
-    y1 = g1 - l10 * g0
-    z = (g2 - l20 * g0 - l21 * y1) / d2
-    y = y1 / d1 - l21 * z
-    x = g0 / a00 - l10 * y - l20 * z
-    return x, y, z, (a00 > 0.0) & (d1 > SINGULAR * a11) & (d2 > SINGULAR * a22)
+FAR = 1e9
 
 
 @inlined
@@ -216,11 +115,6 @@ def update(azimuth, printed, x, y, z, phi, theta, wa, we, s, R):
         g1 += A * q * d + E * i * e
         g2 += A * r * d + E * l * e
     return solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
-
-
-def given(dimensions: int) -> types.Array:
-    """The type of an array of doubles that is only read."""
-    return types.Array(types.float64, dimensions, "C", readonly=True)
 
 
 @kernel(

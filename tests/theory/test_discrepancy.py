@@ -25,8 +25,6 @@ from tests.helpers import Place
 ENGINES = ("auto", "numpy")
 INTERSECTIONS = ("boxes", "exact")
 K = load("kernels.discrepancy")
-for part in (K.crossings, K.common_ellipses, K.common_boxes, K.area_ratio, K.box_ratio):
-    part.enable_caching()  # called from here they are compiled by themselves, which takes seconds
 
 
 class Plane(Place):

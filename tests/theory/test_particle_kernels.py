@@ -1,13 +1,11 @@
 """The compiled particle filter: polynomials, random numbers, likelihoods, resampling and whole laps
 against slow double precision; the machine code that it became."""
 
-import ast
 import os
 import re
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +28,10 @@ from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch
 
 numba = pytest.importorskip("numba")
-K = load("kernels.particle")
+K, LIKELIHOOD, PHILOX, SINGLE, SMALL = (
+    load(f"kernels.{name}")
+    for name in ("particle", "particle_likelihood", "philox", "single", "small")
+)
 KEY = (0xA4093822, 0x299F31D0)
 
 
@@ -61,16 +62,16 @@ def spaced(low, high, n=1_000_003):
 def test_arctan_over_its_whole_range():
     t = np.concatenate([spaced(0, 1), np.geomspace(1e-30, 1, 100_003).astype(np.float32)])
     exact = np.arctan(t.astype(float))
-    assert np.all(np.abs(single(K.arctan, t) - exact) <= 2.5e-7 * exact)
+    assert np.all(np.abs(single(SINGLE.arctan, t) - exact) <= 2.5e-7 * exact)
 
 
 def test_exponential_over_its_whole_range():
     x = spaced(-40, 0)[1:]
     exact = np.exp(x.astype(float))
-    error = np.abs(single(K.exponential, x) / exact - 1)
+    error = np.abs(single(SINGLE.exponential, x) / exact - 1)
     assert error.max() < 4e-6
     assert error[x > -1].max() < 3e-7
-    assert np.all(single(K.exponential, np.array([-40.0, -40.001, -1e30, -np.inf])) == 0)
+    assert np.all(single(SINGLE.exponential, np.array([-40.0, -40.001, -1e30, -np.inf])) == 0)
 
 
 def test_logarithm_over_its_whole_range():
@@ -78,10 +79,12 @@ def test_logarithm_over_its_whole_range():
         [spaced(2.0**-33, 1), np.geomspace(1e-12, 1e14, 1_000_003).astype(np.float32)]
     )
     exact = np.log(x.astype(float))
-    error = np.abs(single(K.logarithm, x) - exact)
+    error = np.abs(single(SINGLE.logarithm, x) - exact)
     assert np.all(error <= 2e-7 * np.maximum(np.abs(exact), 1))
     near = x[np.abs(x - 1) < 0.25]
-    assert np.allclose(single(K.logarithm, near), np.log(near.astype(float)), rtol=4e-7, atol=0)
+    assert np.allclose(
+        single(SINGLE.logarithm, near), np.log(near.astype(float)), rtol=4e-7, atol=0
+    )
 
 
 # --- random numbers -------------------------------------------------------------------------------
@@ -101,7 +104,7 @@ def test_logarithm_over_its_whole_range():
 )
 def test_philox_gives_the_published_words(counter, key, words):
     """Known answers of Philox4x32-10, from its authors' test vectors."""
-    assert K.philox(*u8(*counter), *u8(*key)) == words
+    assert PHILOX.philox(*u8(*counter), *u8(*key)) == words
 
 
 def slow_normals(n, step, replication, key):
@@ -125,7 +128,7 @@ def slow_normals(n, step, replication, key):
     )
 
     def placed(four):  # (tile, particle in its quarter, quarter, component)
-        return np.moveaxis(four.reshape(-1, K.QUARTER, 4, 3), 1, 2).reshape(n, 3).T
+        return np.moveaxis(four.reshape(-1, PHILOX.QUARTER, 4, 3), 1, 2).reshape(n, 3).T
 
     return placed(found), placed(np.stack([r, r, r2, r2], axis=-1))
 
@@ -176,7 +179,9 @@ def test_ten_million_normals():
         x, after, elsewhere = f(planes), f(later[0]), f(other[0])
         pairs = [(x[0], x[1]), (x[0], x[2]), (x[1], x[2]), (x[0], after), (x[0], elsewhere)]
         pairs += [(x[0, :-1], x[0, 1:])]
-        pairs += [(x[i, : -K.QUARTER], x[j, K.QUARTER :]) for i in range(3) for j in range(3)]
+        pairs += [
+            (x[i, : -PHILOX.QUARTER], x[j, PHILOX.QUARTER :]) for i in range(3) for j in range(3)
+        ]
         for a, b in pairs:
             assert abs(a @ b / len(a)) < 3.9 / np.sqrt(n)
 
@@ -190,7 +195,7 @@ def test_normals_do_not_depend_on_how_many_are_drawn():
 
 def test_turns_are_uniform():
     """KS over 10 000 steps; false alarm 1e-4."""
-    u = np.array([K.turn(k, 9, *KEY) for k in range(10_000)])
+    u = np.array([PHILOX.turn(k, 9, *KEY) for k in range(10_000)])
     assert u.min() >= 0
     assert u.max() < 1
     assert stats.kstest(u, "uniform").pvalue > 1e-4
@@ -240,7 +245,7 @@ def test_log_weights_of_one_step(sigma_deg, which, B, rng):
         exact = h.loglik(particles[None], anchors, y, r)[0]
         out = np.empty(M, dtype=np.float32)
         x = np.ascontiguousarray(particles.T.astype(np.float32))
-        K.loglik(
+        LIKELIHOOD.loglik(
             which,
             *x,
             inputs.terms(which, y, r, anchors, np.zeros(3))[0],
@@ -283,7 +288,7 @@ def test_what_is_not_measured_is_left_out(which, rng):
     r = np.full(y.shape, np.deg2rad(10) ** 2)
     out = np.empty(M, dtype=np.float32)
     x = np.ascontiguousarray(particles.T.astype(np.float32))
-    K.loglik(
+    LIKELIHOOD.loglik(
         which, *x, inputs.terms(which, y, r, anchors, np.zeros(3))[0], inputs.weights_table(h), out
     )
     difference = out - h.loglik(particles[None], anchors, y, r)[0]
@@ -298,7 +303,7 @@ def test_a_particle_on_its_anchor_or_pole_is_finite(which):
     x[2, 1], x[2, 2] = 2.0, -2.0
     out = np.empty(K.TILE, dtype=np.float32)
     terms = inputs.terms(which, y, np.full(y.shape, 0.03), anchors, np.zeros(3))[0]
-    K.loglik(which, *x, terms, inputs.weights_table(h), out)
+    LIKELIHOOD.loglik(which, *x, terms, inputs.weights_table(h), out)
     assert np.all(np.isfinite(out))
 
 
@@ -482,46 +487,22 @@ def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
     ]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "kernels.particle",
-        "kernels.kalman",
-        "kernels.access_nodes",
-        "kernels.snapshot",
-        "kernels.discrepancy",
-    ],
-)
-def test_kernels_use_only_their_own_file(name):
-    """The cache on disk does not see changes in other files of ours; and the models' numbers are
-    the same in all.
-    """
-    module = load(name)
-    tree = ast.parse(Path(module.__file__).read_text())
-    imported = {
-        n
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Import)
-        for n in [a.name for a in node.names]
-    }
-    imported |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    assert not any(str(n).startswith("aoabench") for n in imported)
-    if name in ("kernels.particle", "kernels.kalman"):
-        assert [getattr(module, k.upper()) for k in KINDS] == [0, 1, 2]
+def test_the_kernels_number_measurement_models_as_the_filters_do():
+    assert [getattr(SMALL, name.upper()) for name in KINDS] == [0, 1, 2]
 
 
 @pytest.mark.parametrize(
     ("module", "kernels_"),
     [
-        ("filters.particle", "particle.py"),
-        ("filters.kalman", "kalman.py"),
-        ("filters.access_nodes", "access_nodes.py"),
-        ("estimators.maximum_likelihood", "snapshot.py"),
-        ("estimators.discrepancy", "discrepancy.py"),
+        ("filters.particle", ("particle", "particle_likelihood", "philox", "single", "compile")),
+        ("filters.kalman", ("kalman",)),
+        ("filters.access_nodes", ("access_nodes",)),
+        ("estimators.maximum_likelihood", ("snapshot", "angles", "small", "compile")),
+        ("estimators.discrepancy", ("discrepancy", "ellipses", "angles", "small", "compile")),
     ],
 )
 def test_results_are_keyed_on_the_kernels_source(module, kernels_, monkeypatch):
-    """They are loaded by name, so the key of stored results must be told of them."""
+    """They are loaded by name, so the key of stored results must be told of them and of what they share."""
     read, parsed = [], keys._parsed
     monkeypatch.setattr(
         keys,
@@ -529,7 +510,7 @@ def test_results_are_keyed_on_the_kernels_source(module, kernels_, monkeypatch):
         lambda file, *rest: read.append(f"{file.parent.name}/{file.name}") or parsed(file, *rest),
     )
     keys.source_hash([f"aoabench.{module}"])
-    assert f"kernels/{kernels_}" in read
+    assert {f"kernels/{name}.py" for name in kernels_} <= set(read)
 
 
 LIBM = re.compile(
@@ -547,9 +528,10 @@ def test_the_machine_code_is_vectorised(tmp_path):
     if not features.get("avx2"):
         pytest.skip("no AVX2")
     script = (
-        "import sys\nfrom aoabench.kernels import particle as K\n"
-        "for name in ('normals', 'loglik', 'lap'):\n"
-        "    print('KERNEL', name)\n    print(*getattr(K, name).inspect_asm().values())\n"
+        "from aoabench.kernels.particle import lap, normals\n"
+        "from aoabench.kernels.particle_likelihood import loglik\n"
+        "for name, f in (('normals', normals), ('loglik', loglik), ('lap', lap)):\n"
+        "    print('KERNEL', name)\n    print(*f.inspect_asm().values())\n"
     )
     environment = {
         **os.environ,
