@@ -722,7 +722,7 @@ def test_a_scenario_that_does_not_fit():
     many = Plane(upright(*np.random.default_rng(1).uniform(0, 9, (63, 3))), -1.0)
     with pytest.raises(BadValue, match="62"):
         Discrepancy().check(many, noise)
-    Discrepancy(vote=False).check(many)
+    Discrepancy(vote=False).check(many, noise)
 
 
 @pytest.mark.parametrize("intersection", INTERSECTIONS)
