@@ -5,16 +5,20 @@ STUDY   ?=
 VENV    := .venv
 BIN     := $(VENV)/bin
 READY   := $(VENV)/.ready
+# Tests that compare kernels with NumPy, and those of every preset
+KERNELS := tests/contracts tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes covariances \
+	discrepancy kalman_kernels particle_kernels snapshot))
 # The first interpreter that is new enough, unless the caller names one: make PYTHON=/usr/bin/python3.12
 PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; raise SystemExit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
 
-.PHONY: help setup reproduce-figures report test lint bench notebooks lock clean
+.PHONY: help setup reproduce-figures report test test-processors lint bench notebooks lock clean
 
 help:
 	@echo "make reproduce-figures [SCALE=quick|paper] [STUDY=nurminen2018]   tables, figures, page and verdicts"
 	@echo "make report       draw the figures and the page again from the committed tables"
 	@echo "make test         the whole test suite"
+	@echo "make test-processors   the kernels' tests as if for a processor with AVX2 only, and for one with SSE2 only"
 	@echo "make lint         ruff and mypy"
 	@echo "make bench        speed and memory, against other libraries too, to results/bench and docs/bench.md (15 minutes)"
 	@echo "make notebooks    execute results/notebooks in place"
@@ -39,6 +43,10 @@ report: $(READY)
 
 test: $(READY)
 	@$(BIN)/python -m pytest
+
+test-processors: $(READY)
+	NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma $(BIN)/python -m pytest $(KERNELS)
+	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=+sse2 $(BIN)/python -m pytest $(KERNELS)
 
 lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
