@@ -109,7 +109,7 @@ def _check_null(key: str, value: object) -> None:
         raise BadValue(key, value, "null")
 
 
-def param(
+def param(  # noqa: PLR0913 - a limit each
     default: Any = MISSING,
     help: str = "",
     *,

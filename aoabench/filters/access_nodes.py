@@ -145,7 +145,7 @@ class AccessNodeEKF(Compiled, Estimator):
                 q[:, own, i] = np.where(usable, variance, 1.0)
         return y, q, heard
 
-    def _recursion(
+    def _recursion(  # noqa: PLR0913 - as the kernel takes them
         self,
         mean: Array,
         root: Array,
