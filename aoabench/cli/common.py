@@ -1,4 +1,4 @@
-"""What several subcommands share."""
+"""Options and helpers that the subcommands share."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ class Command(click.Command):
 
 
 def say(line: str = "") -> None:
-    """Print a line that is not what the command was asked for: with --json to standard error, with
-    -q not at all.
+    """Print a line that is not the command's result: with --json to standard error, with -q not at
+    all.
     """
     ctx = click.get_current_context()
     if not ctx.meta.get(_QUIET):
@@ -66,7 +66,7 @@ json_option = click.option(
 
 
 def print_json(found: Mapping[str, Any]) -> None:
-    """Print one object on standard output; numbers that JSON does not know are null."""
+    """Print one object on standard output; NaN and infinite numbers become null."""
     print(json.dumps({"schema": SCHEMA, **_plain(found)}, allow_nan=False, indent=1))
 
 
@@ -84,7 +84,7 @@ def _plain(value: Any) -> Any:
 
 
 class Choice(click.Choice[str]):
-    """One of a few words; another one is answered with the nearest of them."""
+    """One of a few words; the error for another word suggests the nearest of them."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         if value not in self.choices:
@@ -109,7 +109,7 @@ run_argument = click.argument(
 def estimator_names(
     ctx: click.Context, _param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Completions by the estimators of RUN; of all presets where RUN is not known."""
+    """Completions: the estimators of RUN, or of all presets if RUN is unknown."""
     from aoabench.config.presets import options
 
     given = ctx.params.get("run") or next(iter(ctx.args), "")  # in args, while a flag has no value
@@ -128,7 +128,7 @@ def _estimators(file: Path) -> list[str]:
 
 
 def results_options(command: Decorated) -> Decorated:
-    """--results and --format."""
+    """Add the options --results and --format to a command."""
     command = click.option(
         "--format",
         "format_",

@@ -28,8 +28,8 @@ def override_items(
 ) -> list[CompletionItem]:
     """Completions of one override of `run`: groups and keys, then after `=` presets or files.
 
-    bash takes `=` for the end of a word: there GROUP, = and the beginning of NAME arrive as three
-    words, and only NAME is to be completed.
+    bash splits words at `=`, so that GROUP, = and the beginning of NAME arrive as three words, of
+    which only NAME is completed.
     """
     words = [*(ctx.params.get("words") or ()), *ctx.args]
     before = words[:-1] if words[-1:] == ["="] else words
@@ -50,7 +50,7 @@ def override_items(
 
 
 def _names(group: str, value: str, names: list[str]) -> list[str]:
-    """What a value can become: a name, or in brackets a list whose last name is completed."""
+    """Completions of a value: a name, or in brackets a list whose last name is completed."""
     if group not in LISTS:
         return [name for name in names if name.startswith(value)]
     done, comma, last = value.rpartition(",")

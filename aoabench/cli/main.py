@@ -46,7 +46,7 @@ class _Commands(click.Group):
 
 
 class _Passed(Exception):
-    """An exception that click is not to see, its only argument."""
+    """Carries an exception, its only argument, past click."""
 
 
 @click.group(
@@ -89,7 +89,7 @@ for _command in (run, list_presets, compare, collect, replay, reproduce, report,
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Entry point of `aoabench`."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if isinstance(sys.stdout, io.TextIOWrapper):  # one that does not know ± or the name of a file
+    if isinstance(sys.stdout, io.TextIOWrapper):  # its encoding may lack ± or parts of file names
         sys.stdout.reconfigure(errors="backslashreplace")
     with _signals() as received:
         try:
@@ -113,7 +113,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def dispatch(arguments: Sequence[str]) -> int:
-    """Run one subcommand and return its exit status; UserError for a mistake in the words."""
+    """Run one subcommand and return its exit status; UserError for a mistake in the arguments."""
     try:
         status = cli.main(list(arguments), prog_name="aoabench", standalone_mode=False)
     except click.UsageError as error:
@@ -128,7 +128,7 @@ def dispatch(arguments: Sequence[str]) -> int:
 
 
 def _usage(error: click.UsageError, arguments: Sequence[str]) -> str:
-    """The line about an option or argument that is unknown, missing or not allowed."""
+    """The message about an option or argument that is unknown, missing or not allowed."""
     ctx = error.ctx
     command = next((f" {word}" for word in arguments if word in cli.commands), "")
     path = ctx.command_path if ctx else f"aoabench{command}"
@@ -160,7 +160,7 @@ def _about_option(flag: str, ctx: click.Context) -> str:
 
 
 def _named(parameter: click.Parameter, ctx: click.Context) -> str:
-    """The flag, or the word that stands for an argument."""
+    """The flag of an option, or the placeholder of an argument."""
     flags = [flag for flag in parameter.opts if flag.startswith("--")]
     return flags[0] if flags else parameter.make_metavar(ctx).strip("[].")
 
@@ -176,9 +176,9 @@ def _complain(line: str) -> None:
 
 @contextmanager
 def _signals() -> Iterator[list[signal.Signals]]:
-    """Take SIGTERM and SIGHUP as Ctrl-C is taken; yields the list of what was received.
+    """Handle SIGTERM and SIGHUP like Ctrl-C; yield the list of received signals.
 
-    Signals that are ignored, as SIGHUP under nohup, stay so.
+    Signals that are ignored, such as SIGHUP under nohup, stay ignored.
     """
     received: list[signal.Signals] = []
 

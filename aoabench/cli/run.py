@@ -131,7 +131,7 @@ def _refuse_flags(words: Sequence[str], command: click.Command) -> None:
 def _simulate(
     words: Sequence[str], sweep: bool, config_dir: str | None, n_worst: int, as_json: bool
 ) -> None:
-    """Compose, run, and print what was found."""
+    """Compose the cells, run them, and print the results."""
     from aoabench.cli import show
     from aoabench.config import compose
     from aoabench.engine import runner
@@ -156,7 +156,7 @@ def _simulate(
 
 
 def _figures(out: Path, cells: Iterable[Cell]) -> Iterator[Path]:
-    """Draw the errors of recordings with ground truth; the paths of the pictures."""
+    """Draw the errors of recordings with ground truth; yield the paths of the figures."""
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
     for cell in cells:
         scenario = cell.scenario

@@ -1,6 +1,4 @@
-"""What the command line shows of a finished run or of the studies: as text and as JSON, from the
-same tables.
-"""
+"""Results of a finished run and of the studies, as text and as JSON from the same tables."""
 
 from __future__ import annotations
 
@@ -24,10 +22,10 @@ _RMSE = (("rmse_pooled_3d_m", "RMSE 3-D [m]"), ("rmse_pooled_xy_m", "RMSE xy [m]
 
 @dataclass(frozen=True)
 class Finished:
-    """A finished run as far as the command asked for it.
+    """The results of a finished run for the cells and estimators of this command.
 
-    `summary` has the rows of summary.parquet with the cells' `parameters` as columns, `errors` what
-    exceptions said, a text for each replication.
+    `summary` has the rows of summary.parquet with the cells' `parameters` as columns; `errors` has
+    one error message for each replication with an error.
     """
 
     report: RunReport
@@ -38,7 +36,7 @@ class Finished:
 
 
 def finished(report: RunReport, cells: Sequence[Cell]) -> Finished:
-    """Read the tables of a run; of cells and estimators that other commands computed, nothing."""
+    """Read the tables of a run, without the cells and estimators that other commands computed."""
     import pandas as pd
 
     out = report.out
@@ -98,7 +96,7 @@ def _table(found: Finished) -> str:
 
 
 def _precision(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """The precision that until.* asked for, and where it was not reached."""
+    """Lines about the precision that until.* requires, and the estimators that did not reach it."""
     first, short = rows[0], [row for row in rows if not row["reached"]]
     wanted = [f"{first['wanted_se']:g}"] if first["wanted_se"] else []
     wanted += (

@@ -1,4 +1,4 @@
-"""Objects take on their roles: the one place that looks at what a user's object has.
+"""Check a user's objects against their roles; only this module inspects their attributes.
 
 Scenarios, noises and measurement models derive from the base classes in `roles`. An estimator may
 also be any callable (batch, scenario, streams) -> Estimates: an object, a function, a lambda.
@@ -23,7 +23,7 @@ from aoabench.roles import (
     Scenario,
 )
 
-# members of earlier versions, and what they are called now
+# members of earlier versions, and their present names
 RENAMED = {
     "known_anchors": "true_anchors",
     "same_truth": "shares_positions",
@@ -57,8 +57,9 @@ def as_noise(obj: Any, path: str) -> Noise:
 
 
 def as_estimator(obj: Any, path: str) -> Estimator:
-    """The object as an estimator: itself, or wrapped where it is a bare callable. UserError for
-    what cannot be called and for a tile or needs that make no sense.
+    """The object as an estimator: itself, or wrapped if it is a bare callable.
+
+    Raises UserError for an object that cannot be called and for an invalid tile or needs.
     """
     _check_renamed(obj, path, {"sees_truth"})
     if not isinstance(obj, Estimator):
@@ -95,7 +96,7 @@ def _wrapped(function: Any, path: str) -> Estimator:
 
 
 def _check_renamed(obj: Any, path: str, names: set[str]) -> None:
-    """Raise UserError for a member that has another name now."""
+    """Raise UserError for a member that has been renamed."""
     for old in sorted(names):
         if hasattr(type(obj), old):
             raise UserError(f"{path}: {_name(obj)}.{old} is called {RENAMED[old]} now")

@@ -40,12 +40,12 @@ def build(
     changed: Mapping[str, Any] | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> Cell:
-    """Validate one composed and resolved job and make its objects.
+    """Validate one composed and resolved job and return its cell.
 
-    `choices` names the presets chosen, `keys` what the job sets, `typed` the keys that the
-    user's own command line sets and `plugins` the packages that it names, `changed` the estimators'
-    parameters that differ from their presets, `extra` further estimators given as objects. Raises
-    UserError for all that can be known before a run.
+    `choices`: the presets chosen; `keys`: the keys that the job sets; `typed`: the keys that the
+    user's own command line sets; `plugins`: the packages that it names; `changed`: the estimators'
+    parameters that differ from their presets; `extra`: further estimators, given as objects. Raises
+    UserError for every mistake that can be found before a run.
     """
     _check_top_level(plain, choices, plugins)
     import_plugins(plugins)
@@ -103,8 +103,8 @@ def _as_recorded(
     scenario: Scenario,
     keys: Sequence[str],
 ) -> tuple[Mapping[str, Any], Mapping[str, Any], tuple[str, ...]]:
-    """The job with the recording for its noise and no more replications than it has; and lines
-    about it.
+    """The config, choices and notes of a job; for a recording, its noise is the recording and its
+    replications are at most those of the recording.
     """
     if scenario.recorded is None:
         return plain, choices, scenario.notes
@@ -143,8 +143,8 @@ def _estimators(
 
 
 def _extra(plain: Mapping[str, Any], extra: Mapping[str, Any]) -> dict[str, Estimator]:
-    """Estimators given as objects, by keys like those of presets; UserError where there are none of
-    either kind, and for names that cannot be used.
+    """Estimators given as objects, by keys `estimators.NAME`; UserError for a job without any
+    preset or object as an estimator, and for invalid names.
     """
     presets = {**(plain.get("filter") or {}), **(plain.get("estimator") or {})}
     for name in extra:
@@ -171,7 +171,7 @@ def _check_fit(
     noise: Noise,
     choices: Mapping[str, Any],
 ) -> None:
-    """Raise UserError where an estimator needs what scenario and noise do not offer."""
+    """Raise UserError if scenario or noise lacks a property that an estimator needs."""
     for path, estimator in estimators.items():
         try:
             estimator.check(scenario, noise)
@@ -214,10 +214,10 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
 
 
 def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
-    """Raise UserError where a config, not the command line, leads out of the working folder or to
-    another machine.
+    """Raise UserError if a config, not the command line, names a folder outside the working folder
+    or another machine.
 
-    What a scheduler sends back is unpickled: whoever names it could run code here.
+    Data from a scheduler are unpickled, so its owner could run code here.
     """
     out = PurePath(runner.out)
     if "runner.out" not in typed and (

@@ -1,4 +1,4 @@
-"""What the presets are: their parameters, and which estimators fit a scenario."""
+"""The parameters of presets, and the estimators that fit a scenario."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from aoabench.errors import UserError, did_you_mean
 
 
 class Parameter(NamedTuple):
-    """A parameter of a preset: its dotted key, its value there, its unit and its meaning."""
+    """A parameter of a preset: its dotted key, value in the preset, unit and meaning."""
 
     key: str
     value: Any
@@ -57,8 +57,10 @@ def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
 
 
 def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str, list[str]]]:
-    """The filters and estimators that run in a scenario: by group and name the noises with which
-    they do. UserError for a scenario that cannot be built.
+    """By group and name, the filters and estimators that run in a scenario, each with its possible
+    noises.
+
+    Raises UserError for a scenario that is unknown or cannot be built.
     """
     from hydra import compose
 

@@ -1,7 +1,7 @@
 """Overrides to cells, composed with Hydra.
 
-Only Hydra's compose API is used: no callbacks, launchers, logging configuration or reruns of
-Hydra's own, whose `_target_`s would run code before ours could look at them.
+Only Hydra's compose API is used. Hydra's callbacks, launchers, logging configuration and reruns are
+not used, because their `_target_`s would run code before our checks.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def compose_cells(
     """The cells of a (multi)run given as command-line overrides; commas and the experiment's own
     sweep expand.
 
-    Without `sweep` there is one cell, and a comma is the user's mistake. Raises UserError for every
-    mistake.
+    Without `sweep` there is one cell, and several values for a key are a mistake. Raises UserError
+    for every mistake.
     """
     from hydra import compose
 
@@ -63,7 +63,9 @@ def compose_cells(
 
 
 def _checked(words: Sequence[str], sweep: bool) -> list[Setting]:
-    """The overrides, none of which reaches Hydra's own node; several values only in a `sweep`."""
+    """The overrides as settings; UserError if one sets Hydra's own node, or several values without
+    `sweep`.
+    """
     settings = read(words, sweep)
     for setting in settings:
         refuse_hydra(setting)
@@ -76,7 +78,7 @@ def _checked(words: Sequence[str], sweep: bool) -> list[Setting]:
 
 
 def _own_sweep(settings: Sequence[Setting]) -> list[Setting]:
-    """The sweep that the chosen experiment brings along. Call it where Hydra is initialised."""
+    """The sweep defined by the chosen experiment. Call this where Hydra is initialised."""
     from hydra import compose
 
     plain = [s.line for s in settings if not s.is_sweep]
@@ -99,8 +101,8 @@ def show(
     package: str = "",
     sweep: bool = False,
 ) -> str:
-    """The composed config as YAML, or one dotted part of it; of a `sweep` what all its jobs have in
-    common.
+    """The composed config as YAML, or one dotted part of it; for a `sweep`, the part common to all
+    jobs.
     """
     from hydra import compose
     from omegaconf import OmegaConf
@@ -118,7 +120,7 @@ def show(
 
 
 def with_defaults(cfg: Any, plugins: Sequence[str]) -> dict[str, Any]:
-    """A composed config as plain nodes, interpolations as they are, Hydra's own node left out, the
+    """A composed config as plain nodes: interpolations unresolved, Hydra's own node left out, the
     defaults of the plug-ins' classes filled in.
     """
     from omegaconf import OmegaConf
@@ -151,8 +153,8 @@ def resolved(raw: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class _Job:
-    """What all jobs of a sweep have in common; `keys` are those that the jobs set, `typed` those of
-    the user's own command line.
+    """Settings common to all jobs of a sweep; `keys`: the keys that the jobs set, `typed`: the keys
+    that the user's own command line sets.
     """
 
     keys: Sequence[str]
@@ -203,7 +205,7 @@ class _Job:
         }
 
     def _defaults(self, given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-        """The presets of these names as they are without any override, by dotted key."""
+        """The parameters of these presets without any override, by dotted key."""
         from hydra import compose
 
         chosen = []
@@ -218,8 +220,8 @@ class _Job:
 
 @contextmanager
 def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
-    """Hydra's compose API over the shipped configs, a user's own (checked) appended to the search
-    path.
+    """Initialise Hydra's compose API over the shipped configs, and the user's own folder once it is
+    checked.
     """
     from hydra._internal.hydra import Hydra
     from hydra._internal.utils import create_config_search_path

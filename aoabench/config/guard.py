@@ -1,4 +1,4 @@
-"""What a config or an override from outside may not do."""
+"""Refuse settings that a config or an override from outside must not make."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from aoabench.maths.digest import flatten
 
 
 def refuse_hydra(setting: Setting) -> None:
-    """Raise UserError for an override that reaches Hydra's own node, or a preset in a file that was
-    not looked at.
-    """
+    """Raise UserError for an override of Hydra's own node, or for a preset in an unchecked file."""
     parts = re.split(r"[./]", f"{setting.key}.{setting.package}")
     word = shorten(setting.word)
     if "hydra" in parts:
@@ -33,8 +31,9 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
     """Raise UserError if a config from outside sets anything under `hydra` but the sweeper's
     params, or plugins.
 
-    Read before Hydra starts; links are followed, as Hydra follows them. Files outside the config
-    groups are not meant for us, but Hydra could reach them: they only have to leave `hydra` alone.
+    The files are read before Hydra starts, and links are followed, as Hydra follows them. Hydra
+    could also reach files outside the config groups; the only condition on these is that they do
+    not set `hydra`.
     """
     if config_dir is None:
         return
@@ -54,8 +53,8 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
 
 
 def _check_file(file: Path, group: str | None) -> None:
-    """Raise UserError for what a file may not hold; `group` is the config group that it is in, if
-    any.
+    """Raise UserError for a setting that a file must not hold; `group` is the file's config group,
+    if any.
     """
     import yaml
 
@@ -95,7 +94,7 @@ def _check_file(file: Path, group: str | None) -> None:
 
 
 def _foreign_settings(node: Any) -> Iterator[str]:
-    """What a document sets and must not: at the top level, and in its defaults list."""
+    """The settings that a document must not make: at the top level, and in its defaults list."""
     if not isinstance(node, dict):
         return
     for key, value in node.items():

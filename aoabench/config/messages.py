@@ -78,7 +78,7 @@ def _about_key(key: str, chosen: Sequence[str]) -> str:
 
 
 def known_keys(chosen: Sequence[str] = ()) -> list[str]:
-    """Dotted keys of the default config, with what is `chosen`; call it where Hydra is
+    """Dotted keys of the default config with the overrides `chosen`; call this where Hydra is
     initialised.
     """
     from hydra import compose

@@ -1,7 +1,7 @@
 """The words of a command line as overrides, read once and with Hydra's grammar.
 
-A word is KEY=VALUE, GROUP=NAME, +KEY=VALUE or ~KEY. Nothing else in the package takes such a word
-apart.
+A word is KEY=VALUE, GROUP=NAME, +KEY=VALUE or ~KEY. No other module of the package parses such a
+word.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError, shorten
 
-# Keys whose values are names of files or folders. Such a value needs no quotes for Hydra: what its
-# grammar cannot read as text is quoted here.
+# Keys whose values are names of files or folders. The user need not quote them: names that Hydra's
+# grammar cannot read as text are quoted here.
 PATH_KEYS = ("scenario.path", "scenario.anchors", "scenario.walls", "scenario.truth", "runner.out")
 
 _TOP_LEVEL = (*GROUPS, "reps", "seed", "plugins", "store.steps", "until.metric", "runner.out")
@@ -35,8 +35,8 @@ _BARE = re.compile(r"[A-Za-z0-9_ \t/\\+.$%*@?|:,()\[\]{}'\"-]")  # what Hydra re
 class Setting:
     """One override.
 
-    `word` is what the user typed and `line` what Hydra reads (file names are quoted). `key` is the
-    dotted key or the config group, without prefix and package; `package` is empty without one.
+    `word` is the user's text and `line` the text that Hydra reads (with file names quoted). `key`
+    is the dotted key or the config group, without prefix and package; `package` is "" if not given.
     """
 
     word: str
@@ -49,12 +49,12 @@ class Setting:
 
     @property
     def value(self) -> Any:
-        """The value as plain Python; of a sweep, Hydra's own object."""
+        """The value as plain Python; for a sweep, Hydra's own object."""
         return self.parsed.value()
 
     @property
     def texts(self) -> list[str]:
-        """All texts in the value, before and after Hydra took escapes and quotes away."""
+        """All texts in the value, before and after Hydra removes escapes and quotes."""
         return [self.line.partition("=")[2], *_leaves(self.value)]
 
 
@@ -76,7 +76,7 @@ def file_setting(key: str, path: object) -> str:
 
 def jobs(settings: Sequence[Setting]) -> list[list[str]]:
     """The lines of each job: all combinations of the values of swept keys; a key's last setting
-    counts. Call it where Hydra is initialised.
+    counts. Call this where Hydra is initialised.
 
     Raises UserError for a sweep whose values cannot be counted.
     """
@@ -105,7 +105,7 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
     if name in PATH_KEYS and value:
         line = f"{head}={_file_names(parser, value, sweep)}"
     if head == name and _OF_A_PLUG_IN.match(name):
-        line = f"++{line}"  # the class knows which parameters it has, not the preset
+        line = f"++{line}"  # the class defines the parameters, not the preset
     try:
         parsed = parser.parse_rule(line, "override")
     except (HydraException, RecursionError) as error:
@@ -122,7 +122,9 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
 
 
 def _without_shell_quotes(word: str) -> str:
-    """The word without quotes around the whole of it, which Windows' command prompt leaves."""
+    """The word without quotes around the whole of it, which Windows' command prompt does not
+    remove.
+    """
     whole = len(word) > 2 and word[0] == word[-1] and word[0] in "'\"" and "=" in word
     return word[1:-1] if whole else word
 
@@ -141,8 +143,8 @@ def _no_override(word: str) -> str:
 
 
 def _file_names(parser: Any, value: str, sweep: bool) -> str:
-    """The value of a key in PATH_KEYS as Hydra reads it: names that it would not take for text are
-    quoted; with `sweep` each between commas.
+    """The value of a key in PATH_KEYS as Hydra reads it: names that Hydra would not read as text
+    are quoted, with `sweep` each one between commas.
     """
     from hydra.core.override_parser.types import ChoiceSweep
 
@@ -158,8 +160,8 @@ def _file_names(parser: Any, value: str, sweep: bool) -> str:
 
 
 def _stays(found: Any) -> bool:
-    """Whether a value that Hydra has parsed is a text, or can be no file name: null, a list, a
-    mapping, a sweep by a function.
+    """Whether a value that Hydra has parsed needs no quotes: it is a text, or cannot be a file name
+    (null, a list, a mapping, a sweep by a function).
     """
     return found is not _UNREADABLE and not isinstance(found, bool | int | float)
 
@@ -175,7 +177,7 @@ def _parsed_value(parser: Any, value: str) -> Any:
 
 
 def _pieces(value: str) -> Iterator[str]:
-    """What stands between the commas of a value, apart from those in quotes."""
+    """The values between the commas of a text; commas in quotes do not separate."""
     position = 0
     while position <= len(value):
         match = _PIECE.match(value, position)
@@ -240,7 +242,9 @@ def _unreadable(word: str, value: str, error: Exception) -> str:
 
 
 def _complaint(value: str) -> str:
-    """The first quote or bracket of a value that has no partner, or character that needs quotes."""
+    """The message about the first quote or bracket without a partner, or the first character that
+    needs quotes; "" if none.
+    """
     opened: list[str] = []
     quote = ""
     for i, mark in enumerate(value):
@@ -261,11 +265,11 @@ def _complaint(value: str) -> str:
 
 
 def _reason(error: Exception) -> str:
-    """The end of what Hydra says about a value, without names of classes."""
+    """The reason that Hydra gives for refusing a value, without names of classes."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     text = str(error)
-    if "while evaluating" in text:  # a function: its own complaint comes last
+    if "while evaluating" in text:  # a function's own message comes last
         own = text.rpartition("': ")[2].strip() or "its function does not work"
         return shorten(own.splitlines()[0].lower())
     if "arg 3 must not be zero" in text or "Invalid range values" in text:

@@ -1,7 +1,7 @@
 """From `_target_` nodes to objects.
 
-A `_target_` is resolved by the few lines below and never by Hydra: its real module must lie in one
-of our plug-in packages, or in a package that the user named on the command line (`plugins=[...]`).
+`resolve` below, and never Hydra, resolves a `_target_`: its real module must lie in one of our
+plug-in packages, or in a package that the user named on the command line (`plugins=[...]`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PLUG_INS = tuple(
 
 
 def resolve(target: object, path: str, plugins: Sequence[str] = ()) -> type:
-    """The class that a `_target_` names, or UserError if it is not one that a config may name."""
+    """The class that a `_target_` names; UserError for a class that a config must not name."""
     allowed = (
         f"a dataclass in {', '.join(PLUG_INS)}, "
         "or in a package listed in plugins=[...] on the command line"
@@ -57,6 +57,8 @@ def _within(module: str, packages: Iterable[str]) -> bool:
 def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
     """The object that a plain YAML node describes; mappings need a `_target_`, lists and scalars
     stay as they are.
+
+    Raises UserError for an unknown, missing or invalid key.
     """
     if isinstance(node, list):
         return [construct(item, f"{path}[{i}]", plugins) for i, item in enumerate(node)]
@@ -95,7 +97,7 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
 
 
 def parse_plugins(settings: Iterable[Setting]) -> tuple[str, ...]:
-    """The packages that `plugins=[...]` among the user's own overrides names; the last counts."""
+    """The packages that the user's own override `plugins=[...]` names; the last one counts."""
     found: tuple[str, ...] = ()
     for setting in settings:
         if setting.key == "plugins" and not setting.is_deletion:
@@ -108,7 +110,7 @@ def parse_plugins(settings: Iterable[Setting]) -> tuple[str, ...]:
 
 
 def package_names(names: Iterable[object]) -> tuple[str, ...]:
-    """The names, if all of them can be imported as packages; else BadValue."""
+    """The names as a tuple; BadValue if one is not a valid package name."""
     given = tuple(str(name) for name in names)
     for name in given:
         if not all(part.isidentifier() for part in name.split(".")):
@@ -118,15 +120,15 @@ def package_names(names: Iterable[object]) -> tuple[str, ...]:
 
 
 def import_plugins(plugins: Sequence[str]) -> None:
-    """Import the user's own packages, from the working folder too; UserError for whatever they
-    raise.
+    """Import the user's own packages, from the working folder too; UserError for every exception
+    that they raise.
     """
     if plugins and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # last: what is installed is found first
     for name in plugins:
         try:
             importlib.import_module(name)
-        except Exception as error:  # the user's code: whatever it raises
+        except Exception as error:  # the user's code can raise anything
             raise UserError(
                 f"plugins=[{name}]: cannot be imported: {type(error).__name__}: {error}"
             ) from None

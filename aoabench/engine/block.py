@@ -29,13 +29,13 @@ def run_block(
     stop: int,
     steps: bool = False,
 ) -> dict[str, dict[str, Rows]]:
-    """Replications start..stop-1 for each estimator: `rows`, one per replication, and `steps` if
-    asked for.
+    """Run replications start..stop-1 and return each estimator's tables: `rows`, one row per
+    replication, and `steps` if asked for.
 
-    Where all replications share their true positions there are `fixes` too, one row of arrays per
-    replication, because standard errors then cluster by position. `failures` are there where an
-    estimator raised or gave NaN (see `try_tile`). Estimators take turns tile by tile: what depends
-    on the replication alone is drawn once for all.
+    Where all replications share their true positions, `fixes` has one row of arrays per
+    replication, from which standard errors are clustered by position. `failures` is present only if
+    an estimator raised or gave NaN (see `try_tile`). Estimators of one tile size take turns tile by
+    tile, so that each tile is drawn once for all of them.
     """
     makers: dict[str, RowMaker] = {"rows": _rows}
     makers |= {"steps": _details} if steps else {}
@@ -57,7 +57,7 @@ def _same_tiles(
     wanted: range,
     makers: Mapping[str, RowMaker],
 ) -> dict[str, dict[str, Rows]]:
-    """The block of each of some estimators that take tiles of one size."""
+    """The tables of each estimator; all of them take tiles of `size` replications."""
     rows = {name: {kind: list[Rows]() for kind in makers} for name in estimators}
     errors = {name: dict[int, str]() for name in estimators}
     span = size * max(_SPAN // size, 1)
@@ -106,7 +106,7 @@ def _fixes(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: n
 
 
 def _failures(rows: Rows, errors: Mapping[int, str]) -> dict[str, Rows]:
-    """What went wrong in some of the rows' replications; `lost`: there is no position at all."""
+    """The table of replications with errors, {} if none; `lost`: without any position."""
     mine = np.array([int(r) in errors for r in rows["replication"]], dtype=bool)
     if not mine.any():
         return {}

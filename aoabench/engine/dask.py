@@ -17,7 +17,7 @@ from aoabench.roles import PlainEstimator
 from aoabench.store.keys import code_key
 from aoabench.store.parts import has_part
 
-_TIMEOUT_S = 90  # for workers to come, and for a network file system to show what they wrote
+_TIMEOUT_S = 90  # for a first worker to connect, and for written parts to become visible
 
 
 _CONNECT_S = 10  # for a scheduler to answer
@@ -25,11 +25,11 @@ _CONNECT_S = 10  # for a scheduler to answer
 
 @contextmanager
 def cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
-    """joblib's way to the Dask cluster of that scheduler, whose workers import from where this
-    process does.
+    """Yield joblib's backend for the Dask cluster whose scheduler listens at `address`; its workers
+    import from the same path as this process.
 
-    Raises UserError where no scheduler answers or it cannot import what the tasks need, RunError
-    where no worker comes in time.
+    Raises UserError if no scheduler answers or if it cannot import the modules of the tasks, and
+    RunError if no worker connects within the timeout.
     """
     try:
         from distributed import Client
@@ -42,7 +42,7 @@ def cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
     except (OSError, TimeoutError) as error:
         raise UserError(f"{key}: no scheduler answers there ({type(error).__name__})") from None
     with client:
-        try:  # a scheduler that cannot read a task loses it
+        try:  # a scheduler that cannot unpickle a task loses the task
             missing = client.run_on_scheduler(_add_path, sys.path, sorted(_modules(tasks)))
         except ImportError as error:
             missing = str(error)
@@ -67,7 +67,9 @@ def _modules(tasks: Sequence[Task]) -> set[str]:
 
 
 def _path_plugin(path: list[str]) -> Any:
-    """A plug-in that gives workers this import path, those that come later too."""
+    """A worker plug-in that adds this import path to all workers, including those that connect
+    later.
+    """
     from distributed import WorkerPlugin
 
     class SamePath(WorkerPlugin):
@@ -80,7 +82,7 @@ def _path_plugin(path: list[str]) -> Any:
 
 
 def _backend() -> Any:
-    """joblib's backend for Dask, which would keep the work of a single thread in this process."""
+    """joblib's Dask backend, changed to send work to the cluster even if it has a single thread."""
     from joblib._dask import DaskDistributedBackend
 
     base: Any = DaskDistributedBackend
@@ -93,7 +95,9 @@ def _backend() -> Any:
 
 
 def _add_path(path: Sequence[str], modules: Sequence[str]) -> str | None:
-    """Import from these folders too; says what keeps the modules from being imported."""
+    """Add folders to the import path and import the modules; return the error's text if one cannot
+    be imported, else None.
+    """
     sys.path.extend(p for p in path if p not in sys.path)
     try:
         for module in modules:
@@ -104,8 +108,10 @@ def _add_path(path: Sequence[str], modules: Sequence[str]) -> str | None:
 
 
 def compute_remotely(number: int, task: Task, out: Path, code: str) -> tuple[int, dict[str, Loss]]:
-    """Compute a task on a machine that may be another one; RunError if its numbers would differ or
-    not be seen here.
+    """Compute a task on a worker, possibly on another machine; return its number and losses.
+
+    Raises RunError if the worker's code differs from this run's, or if it does not see the folder
+    `out`.
     """
     here = platform.node()
     if code_key(task.cell) != code:
@@ -122,7 +128,10 @@ def compute_remotely(number: int, task: Task, out: Path, code: str) -> tuple[int
 
 
 def wait_until_seen(task: Task, out: Path) -> None:
-    """Until the task's parts are visible here: network file systems take their time."""
+    """Wait until the task's parts are visible here, as network file systems show new files late.
+
+    Raises RunError after the timeout.
+    """
     deadline = time.monotonic() + _TIMEOUT_S
     while not all(
         has_part(out, key, task.start, task.stop, kind_of(task.cell)) for key in task.keys.values()

@@ -1,4 +1,4 @@
-"""What the machine does to a run, as one clear line."""
+"""Errors of the machine (memory, disk, workers), reported as one clear line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def tell(line: str) -> None:
 
 @contextmanager
 def explained(out: Path) -> Iterator[None]:
-    """Turn what the machine does to a run into one clear line."""
+    """Turn an error of the machine (memory, disk, workers, Dask) into a one-line RunError."""
     from concurrent.futures import BrokenExecutor
 
     kept = "what was finished is kept, the same command goes on from there"
@@ -45,8 +45,8 @@ def explained(out: Path) -> Iterator[None]:
 
 
 def writable(folder: str, key: str = "runner.out") -> Path:
-    """The folder, made if need be; UserError naming `key` if that, or writing into it, is not
-    possible.
+    """Return the folder, created if needed; UserError naming `key` if it cannot be created or
+    written.
     """
     try:
         path = Path(folder).expanduser()

@@ -1,4 +1,4 @@
-"""What is recorded of one replication: errors over its accepted fixes, outcomes, consistency."""
+"""Metrics of one replication: errors over its accepted fixes, outcomes, consistency."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from aoabench.types import Estimates, Outcome
 
 
 def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
-    """One value (R,) per column of the replications table, from estimates and true positions (R, T,
-    3) m.
+    """Columns of the replications table, one value (R,) each, from estimates and true positions (R,
+    T, 3) m.
 
-    Accepted are the fixes that give a position: ok, oscillated and diverged. `nees` is the mean of
-    e^T P^-1 e (3 dof). Errors are those of fixes whose truth is known (x and y not NaN, which a
-    recording may leave open). Where a method gives no z (NaN) the 3-D error is that in the plane,
-    and `rmse_z_m` and `nees` are NaN.
+    Accepted fixes are those that give a position: ok, oscillated and diverged. Errors cover the
+    accepted fixes whose true x and y are known (not NaN, which a recording may contain). `nees` is
+    the mean of e^T P^-1 e (3 degrees of freedom). Where a method gives no z (NaN), the 3-D error is
+    the error in the plane, and `rmse_z_m` and `nees` are NaN.
     """
     outcome = estimates.outcome
     error = estimates.position - truth
@@ -41,7 +41,7 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
         value = nees(error, estimates.covariance)
         columns["nees"] = _mean(
             value, accepted & np.isfinite(value)
-        )  # a singular covariance has none
+        )  # NaN for a singular covariance
     return columns
 
 
@@ -58,8 +58,8 @@ def per_step(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
 
 
 def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
-    """What float32 holds of each fix, outcomes (int8) and places, each (R, T), of replications that
-    share positions.
+    """Columns of the fixes table, each (R, T), for replications that share their true positions:
+    errors in m, iterations, score and anchors_used (float32), outcome (int8) and place (int32).
 
     Fixes of one true position have one place, numbered from 0 in the order of their first fix.
     """

@@ -1,4 +1,4 @@
-"""Repeat one replication of a run by its number, with everything that an estimator saw and gave."""
+"""Repeat one replication of a run by its number, with one estimator's input, results and trace."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from aoabench.types import Batch, Estimates, Outcome
 
 @dataclass(frozen=True)
 class Replay:
-    """One replication of one estimator.
+    """One repeated replication of one estimator.
 
-    columns: a row per step: true_x_m ..., x_m ..., their stated deviations sigma_x_m ... and
-    covariances cov_xx_m2 ..., error_3d_m, nees, outcome, iterations; per anchor j what was measured
-    (azimuth_<j>_rad, elevation_<j>_rad, delay_<j>_s, rssi_<j>_dbm); the columns of the estimator's
-    own `trace`: innovation_<j>_<component>, ess. batch and truth (1, T, n) are of this replication.
-    rmse_3d_m: as computed now; stored_m: as stored in the run. error: what went wrong, or "".
+    columns: one value per step: the truth true_x_m ...; the estimates x_m ..., their reported
+    standard deviations sigma_x_m ... and covariances cov_xx_m2 ..., error_3d_m, nees, outcome,
+    iterations; the measurements of anchor j (azimuth_<j>_rad, elevation_<j>_rad, delay_<j>_s,
+    rssi_<j>_dbm); the columns of the estimator's own `trace`: innovation_<j>_<component>, ess.
+    batch and truth (1, T, n) hold this replication alone. rmse_3d_m is computed now, stored_m is
+    stored in the run. error: the reason of a failure, or "".
     """
 
     run: Path
@@ -60,8 +61,8 @@ def replay(
 ) -> Replay:
     """Repeat one replication of the run in folder `run`.
 
-    `cell` may be None where the run has one; `plugins` are the packages of the user's own that the
-    run used. Raises UserError for a run, cell, estimator or replication that is not there.
+    `cell` may be None if the run has only one; `plugins` are the user's own packages that the run
+    used. Raises UserError for a run, cell, estimator or replication that does not exist.
     """
     record = _record(run, cell)
     node = _preset(record, estimator, replication)
@@ -98,7 +99,7 @@ def replay(
 
 
 def _record(run: Path, cell: str | None) -> dict[str, Any]:
-    """The record of a cell of the run."""
+    """The record of one cell of the run; UserError if the run or the cell does not exist."""
     records = {r["cell"]: r for r in folder.records(run)} if (run / "cells").is_dir() else {}
     if not records:
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
@@ -114,7 +115,7 @@ def _record(run: Path, cell: str | None) -> dict[str, Any]:
 
 
 def _preset(record: Mapping[str, Any], estimator: str, replication: int) -> Any:
-    """The config of an estimator of the cell that has this replication."""
+    """The config of one estimator of a cell; UserError for an unknown estimator or replication."""
     config = record["config"]
     presets = {**(config["filter"] or {}), **(config["estimator"] or {})}
     if estimator not in presets:
@@ -134,7 +135,7 @@ def _stored(run: Path, cell: str, estimator: str, replication: int) -> float:
 
 
 def _estimated(truth: np.ndarray, estimates: Estimates, i: int) -> dict[str, np.ndarray]:
-    """Truth (T, n) and the estimates of the tile's i-th replication."""
+    """Columns of the truth (T, n) and of the estimates in the tile's i-th replication."""
     columns: dict[str, np.ndarray] = {"step": np.arange(len(truth))}
     position, P = estimates.position[i], estimates.covariance
     for axis, name in enumerate("xyz"):
@@ -156,7 +157,7 @@ def _estimated(truth: np.ndarray, estimates: Estimates, i: int) -> dict[str, np.
 
 
 def _measured(batch: Batch, i: int) -> dict[str, np.ndarray]:
-    """What was measured in the tile's i-th replication."""
+    """Columns of the measurements in the tile's i-th replication."""
     named = {
         "azimuth_{}_rad": batch.azimuth,
         "elevation_{}_rad": batch.elevation,

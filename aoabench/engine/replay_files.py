@@ -1,4 +1,4 @@
-"""A replayed replication as files: its trace, a picture, and what was measured as a log."""
+"""A replayed replication as files: its trace, a picture, and its measurements as a log."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from aoabench.store.files import provenance, schema, write_atomically, write_tab
 
 
 def write(replay: Replay, export: str | None = None) -> str:
-    """Write <run>/replay/<cell>-<estimator>-<replication>.parquet and its picture (.png), and
-    return lines that say so.
+    """Write <run>/replay/<cell>-<estimator>-<replication>.parquet and its picture (.png); return
+    lines that name the files.
 
-    `export`, csv or parquet, also writes what was measured, as scenario=recorded reads it.
+    `export`, csv or parquet, also writes the measurements in the format that scenario=recorded
+    reads.
     """
-    name = re.sub(r"[^\w.-]|^\.", "_", replay.estimator)  # nothing that leads out of the folder
+    name = re.sub(r"[^\w.-]|^\.", "_", replay.estimator)  # the name must not leave the folder
     stem = f"{replay.record['cell']}-{name}-{replay.replication}"
     path = replay.run / "replay" / f"{stem}.parquet"
     special = {"step": "int64", "outcome": "string"}

@@ -1,6 +1,4 @@
-"""Cells to tasks: what is missing is computed, what is there is used again, then the tables are
-made.
-"""
+"""From cells to tables: compute the missing parts, reuse the stored ones, then make the tables."""
 
 from __future__ import annotations
 
@@ -29,19 +27,19 @@ from aoabench.store.parts import Part, examined, intact_parts, missing_ranges
 _LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
 
 
-_FEW = 100  # replications
+_FEW = 100  # replications; cells with fewer are timed once, others up to three times
 
 
-_HOPELESS = 100  # so many replications, all of them lost, tell that the rest will be, too
+_HOPELESS = 100  # replications; a cell stops if at least this many have all failed
 
 
 @dataclass(frozen=True)
 class RunReport:
-    """What a run did: estimator-replications computed and reused, wall seconds, and where the
-    tables lie.
+    """Result of a run: the output folder, estimator-replications computed and reused, wall seconds.
 
-    `damaged`: parts that did not fit their checksums and were computed again. `precision`: where a
-    cell ran until a precision was reached, what each estimator reached (as in precision.parquet).
+    `damaged`: checksum files that did not match their parts, which were computed again.
+    `precision`: the precision reached by each estimator of cells that run until a precision is
+    reached (rows of precision.parquet).
     """
 
     out: Path
@@ -53,11 +51,11 @@ class RunReport:
 
 
 def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
-    """Compute what is missing of all cells and make the tables. The cells share one runner.out.
+    """Compute the missing parts of all cells and make the tables. The cells share one runner.out.
 
-    Raises UserError if the output folder cannot be written, RunError for what happens on the way (a
-    full disk, a worker that dies, more failures than allowed); what is finished by then is kept and
-    in the tables as far as they can be made, and the same call goes on from there.
+    Raises UserError if the output folder cannot be written, and RunError for an error during the
+    run (a full disk, a killed worker, more failures than allowed). Finished parts are kept and
+    shown in the tables where possible; the same call continues from them.
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
@@ -66,7 +64,7 @@ def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
 
 
 class _Run:
-    """One run over cells that share an output folder, whose lock is held."""
+    """One run over cells that share an output folder, whose lock the caller holds."""
 
     def __init__(self, out: Path, cells: Sequence[Cell], progress: bool) -> None:
         self.out, self.cells, self.progress = out, cells, progress
@@ -77,15 +75,15 @@ class _Run:
             for cell in cells
         }
         self.losses: dict[str, Loss] = {}  # by part key
-        self.there: dict[str, int] = {}  # by part key: replications computed, whichever
+        self.there: dict[str, int] = {}  # by part key: replications stored
         self.goal: dict[str, int] = {}  # by cell: replications wanted so far
-        self.stopped: dict[str, str] = {}  # by cell: why
+        self.stopped: dict[str, str] = {}  # by cell: the reason
         self.precision: dict[str, dict[str, dict[str, Any]]] = {}  # by cell and estimator
         self.damaged: list[Path] = []
         self.computed = 0
 
     def run(self) -> RunReport:
-        """All of it."""
+        """Compute all cells and make the tables; RunError if a cell was stopped."""
         begin = time.perf_counter()
         until = self.options.until
         running = list(self.cells)
@@ -114,8 +112,8 @@ class _Run:
         )
 
     def _compute_missing(self, cells: Sequence[Cell]) -> None:
-        """All replications up to the goals. Cells may share parts with one that was stopped: then
-        once more.
+        """Compute all replications up to the goals; repeat while cells stop, as others may share
+        their parts.
         """
         while True:
             before = len(self.stopped)
@@ -131,7 +129,9 @@ class _Run:
                 return
 
     def _plan(self, cells: Sequence[Cell]) -> list[Task]:
-        """What is missing of some cells, and what is known of the failures in what is there."""
+        """The tasks for the missing replications of some cells; enters the failures of stored
+        parts.
+        """
         tasks: list[Task] = []
         claimed: set[str] = set()  # cells that differ in another estimator's parameter share parts
         for cell in cells:
@@ -155,7 +155,7 @@ class _Run:
         return tasks
 
     def _note(self, task: Task, losses: Mapping[str, Loss]) -> None:
-        """Enter what became of a task."""
+        """Enter the replications and losses of a finished task."""
         self.computed += task.size
         for name, key in task.keys.items():
             self.losses[key] += losses.get(name, Loss())
@@ -163,8 +163,8 @@ class _Run:
             self._check(task.cell, name)
 
     def _check(self, cell: Cell, name: str) -> None:
-        """Stop the cell if one estimator failed too often: more than the limit, or every one of the
-        first hundred.
+        """Stop the cell if an estimator failed in more replications than allowed, or in all of at
+        least _HOPELESS.
         """
         key, goal, most = self.keys[cell.id][name], self.goal[cell.id], self.options.max_failed
         loss, there = self.losses[key], self.there[key]
@@ -179,8 +179,8 @@ class _Run:
             )
 
     def _precise(self, cell: Cell, until: Until) -> bool:
-        """Whether the means of the cell's estimators are known well enough; one without any value
-        does not count.
+        """Whether the means of all estimators of the cell are precise enough; estimators without
+        any value are ignored.
         """
         goal = self.goal[cell.id]
         rows: dict[str, dict[str, Any]] = {}
@@ -203,14 +203,12 @@ class _Run:
         return all(row["reached"] or math.isnan(row["mean"]) for row in rows.values())
 
     def _tabulate(self) -> int:
-        """Make the tables and measure times; returns how many estimator-replications the cells
-        show.
-        """
+        """Make the tables and measure times; return the number of estimator-replications shown."""
         known, shown = known_timing(self.out), 0
         for cell in self.cells:
             keys = self.keys[cell.id]
             reps = dict.fromkeys(keys, self.goal[cell.id])
-            if cell.id in self.stopped:  # whatever is there without a gap
+            if cell.id in self.stopped:  # the replications before the first gap
                 reps = {name: self._prefix(cell, key) for name, key in keys.items()}
             shown += sum(reps.values())
             precision = self.precision.get(cell.id, {})
@@ -233,8 +231,8 @@ class _Run:
 
 
 def merged(cells: Sequence[Cell]) -> list[Cell]:
-    """Cells that are the same scenario, noise, seed and parameters as one, with all their
-    estimators; largest first.
+    """Merge cells of the same scenario, noise, seed and parameters into one with all their
+    estimators; return the cells, largest first.
     """
     found: dict[str, Cell] = {}
     for cell in cells:
@@ -256,9 +254,10 @@ def merged(cells: Sequence[Cell]) -> list[Cell]:
 def _tasks(
     cell: Cell, keys: Mapping[str, str], done: Mapping[str, list[Part]], goal: int
 ) -> Iterator[Task]:
-    """Blocks of whole tiles of what is missing of the estimators in `done`, whose parts are there.
+    """Yield tasks of whole tiles for the missing replications of the estimators in `done` (name ->
+    stored parts).
 
-    Estimators of one tile size that miss the same share a block, and so its draws.
+    Estimators with the same tile size and the same gap share a task, and so its draws.
     """
     gaps: dict[tuple[int, int, int], dict[str, str]] = defaultdict(dict)
     for name, parts in done.items():
@@ -279,7 +278,7 @@ def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
     if not keys:
         return {}
     estimators = {name: cell.estimators[name] for name in keys}
-    repeats = 1 if cell.reps < _FEW else 3  # many small cells shall not wait for their timing
+    repeats = 1 if cell.reps < _FEW else 3  # timing must not delay many small cells
     given = (cell.scenario, cell.noise, estimators, cell.seed, cell.reps)
     measured = time_estimators(*given, repeats)
     return {

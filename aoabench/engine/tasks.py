@@ -29,8 +29,8 @@ class Task:
 
 @dataclass(frozen=True)
 class Loss:
-    """What one estimator's exceptions and undeclared NaN cost: how many replications, and the first
-    one's message.
+    """One estimator's replications lost to exceptions and undeclared NaN: their count, and number
+    and message of the first.
     """
 
     count: int = 0
@@ -45,20 +45,20 @@ class Loss:
 
     @classmethod
     def of(cls, errors: Mapping[int, str]) -> Loss:
-        """From messages by replication."""
+        """The loss from error messages by replication number."""
         return cls(len(errors), min(errors), errors[min(errors)]) if errors else cls()
 
 
 def kind_of(cell: Cell) -> str:
-    """What a part must hold to be of use to the cell."""
+    """The kind of table that a part must hold for the cell: `steps` or `rows`."""
     return "steps" if cell.runner.steps else "rows"
 
 
 def compute(task: Task, out: Path) -> dict[str, Loss]:
-    """Compute one task and write its parts; returns what was lost by estimator. Runs in a worker.
+    """Compute one task in a worker and write its parts; return the losses by estimator.
 
-    What somebody finished since the task was planned (a worker that outlived its killed parent) is
-    not computed again.
+    A part that another process finished since the task was planned (a worker that outlived its
+    killed parent) is not computed again.
     """
     cell = task.cell
     kind, span = kind_of(cell), (task.start, task.stop)

@@ -1,7 +1,7 @@
-"""One tile of replications: truth, measurements and what an estimator makes of them.
+"""One tile of replications: truth, measurements and the estimates of an estimator.
 
-Estimators see tiles of a fixed number of replications, aligned on the replication number: the same
-replication gives the same bits however the work is cut.
+Estimators see tiles of a fixed number of replications, aligned on the replication number, so that a
+replication gives the same bits however the work is divided.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _MOST_ELEMENTS = 2**20
 
 
 def tile_of(estimator: Estimator, scenario: Scenario) -> int:
-    """How many replications an estimator takes at once: its own `tile`, or one derived from the
-    size of a replication; never more than the scenario has.
+    """Number of replications that an estimator takes at once: its own `tile`, or one derived from
+    the size of a replication; at most the number that the scenario has.
     """
     tile = estimator.tile or _derived_tile(scenario)
     return min(tile, scenario.replications or tile)
@@ -52,9 +52,7 @@ def simulate(
 
 
 class Draws:
-    """Simulated replications of one cell; the last tile is kept, for the next estimator that asks
-    for it.
-    """
+    """Simulated replications of one cell; the last tile is cached for the next estimator."""
 
     def __init__(self, scenario: Scenario, noise: Noise, seed: int) -> None:
         self.scenario, self.noise, self.seed = scenario, noise, seed
@@ -102,7 +100,7 @@ class Draws:
 
 
 def together(each: Sequence[Anchors]) -> Anchors:
-    """The anchors (R|1, T|1, B, ...) of several replications; what is equal in all is kept once."""
+    """The anchors (R|1, T|1, B, ...) of several replications; arrays equal in all are kept once."""
     arrays = {}
     for name, first in each[0].arrays.items():
         values = [anchors.arrays[name] for anchors in each]
@@ -120,9 +118,9 @@ def estimate_tile(draws: Draws, estimator: Estimator, first: int) -> tuple[np.nd
 def _asked(
     draws: Draws, estimator: Estimator, first: int, at: np.ndarray | None = None
 ) -> tuple[np.ndarray, Estimates]:
-    """Truth (R, T, n) of a tile and what the estimator returns, unchecked.
+    """Truth (R, T, n) of a tile and the estimator's estimates, unchecked.
 
-    `at` (R,): for each place of the tile the index of the replication whose data fill it.
+    `at` (R,): for each place of the tile, the index of the replication whose data fill it.
     """
     size = tile_of(estimator, draws.scenario)
     truth, batch = draws.tile(first, size)
@@ -140,8 +138,8 @@ def call(
     replications: tuple[int, ...],
     truth: np.ndarray,
 ) -> Estimates:
-    """What the estimator returns for a batch; the true states (R, T, n) go to those that need
-    them.
+    """The estimator's estimates for a batch; only an estimator that needs the truth gets the true
+    states (R, T, n).
     """
     streams = Streams(draws.seed, draws.scenario.name, replications)
     if "truth" not in estimator.needs:
@@ -151,7 +149,7 @@ def call(
 
 
 def placed(batch: Batch, at: np.ndarray) -> Batch:
-    """The batch with the data of replication `at[i]` of the tile in its place i."""
+    """A batch whose place i holds the data of the tile's replication `at[i]`."""
 
     def taken(array: np.ndarray | None) -> np.ndarray | None:
         if array is None or len(array) == 1:
@@ -170,12 +168,11 @@ def try_tile(
     draws: Draws, estimator: Estimator, first: int
 ) -> tuple[np.ndarray, Estimates, dict[int, str]]:
     """Like `estimate_tile`, but an exception fails only the replications that cause it; the third
-    value says by the replication's number what was wrong, NaN positions included.
+    value maps the numbers of replications with errors, NaN positions included, to messages.
 
-    To find the cause, the tile is repeated with some of its replications, each in its own place,
-    the other places filled by one of them: the tile keeps its size, and what it gives to a
-    replication keeps its bits. UserErrors and lack of memory are not the data's fault and stop the
-    run.
+    To find the cause, the tile is repeated with subsets of its replications. Each replication stays
+    in its own place and one of them fills the other places, so that the tile keeps its size and
+    each replication its bits. UserError and MemoryError do not depend on the data and are raised.
     """
     size, errors = tile_of(estimator, draws.scenario), dict[int, str]()
     truth, _ = draws.tile(first, size)
@@ -190,7 +187,7 @@ def try_tile(
             _, raw = _asked(draws, estimator, first, at)
         except (UserError, MemoryError):
             raise
-        except Exception as error:  # the estimator's, whatever it is
+        except Exception as error:  # any exception of the estimator
             if len(some) > 1:
                 todo += np.array_split(some, 2)
             else:
@@ -208,7 +205,9 @@ def try_tile(
 
 
 def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...]) -> Estimates:
-    """One tile (R, T) from the rows of several pieces; replications in no piece are `failed`."""
+    """Assemble one tile (R, T) from the replications of several pieces; those in no piece are
+    FAILED.
+    """
     found: dict[str, np.ndarray | None] = {
         "position": np.full((*shape, 3), np.nan),
         "outcome": np.full(shape, Outcome.FAILED, dtype=np.int8),
@@ -225,11 +224,11 @@ def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...
 
 
 def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimates:
-    """The estimates, if their arrays have the shapes (R, T, ...) that the protocol asks for;
-    UserError otherwise.
+    """The estimates with unusable fixes marked FAILED; UserError if an array does not have the
+    shape (R, T, ...) that the role requires.
 
-    A fix that claims a position and gives none (x or y not finite) is `failed`: nothing drops out
-    of the counts.
+    A fix that claims a position but has no finite x or y becomes FAILED, so that the counts cover
+    all fixes.
     """
     if not isinstance(estimates, Estimates):
         raise UserError(

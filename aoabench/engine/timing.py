@@ -12,13 +12,13 @@ from threadpoolctl import threadpool_limits
 from aoabench.engine.tiles import Draws, call, checked, placed, tile_of
 from aoabench.roles import Estimator, Noise, Scenario
 
-_SIMULATED = 8  # replications that a larger tile is filled with: the simulation is not timed
+_SIMULATED = 8  # replications that fill a larger tile, as the simulation is not timed
 _ENOUGH_S = 1.0
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Median seconds of one tile, its replications and its steps."""
+    """Median seconds of one tile, and its numbers of replications and steps."""
 
     seconds: float
     replications: int
@@ -33,12 +33,12 @@ def time_estimators(
     reps: int,
     repeats: int = 3,
 ) -> dict[str, Timing]:
-    """Timings of the estimators, one after the other, BLAS at one thread.
+    """Timings of the estimators, measured one after the other, BLAS at one thread.
 
-    After a first pass, which warms up, up to `repeats` more, as long as they fit into about a
-    second; never more passes than the `reps` replications of the run have tiles, so that timing
-    costs no more than the run. A pass in which the estimator raises does not count; without any
-    other there is no timing.
+    After a first pass, which warms up, up to `repeats` more follow until all passes take about a
+    second. The number of passes is at most the number of tiles in the `reps` replications of the
+    run, so that timing costs no more than the run. A pass in which the estimator raises does not
+    count; an estimator without any other pass gets no timing.
     """
     result = {}
     with threadpool_limits(1):
@@ -70,6 +70,6 @@ def _one_pass(draws: Draws, estimator: Estimator, first: int, size: int) -> list
     begin = time.perf_counter()
     try:
         checked(call(estimator, batch, draws, numbers, truth), truth.shape[:2], estimator.label)
-    except Exception:  # counted as a failure where the run computed it
+    except Exception:  # the run itself has counted this failure
         return []
     return [time.perf_counter() - begin]

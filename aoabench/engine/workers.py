@@ -17,7 +17,7 @@ from aoabench.engine.dask import cluster, compute_remotely, wait_until_seen
 from aoabench.engine.tasks import Loss, Task, numbered
 from aoabench.store.keys import code_key
 
-_WAITING_TASKS = 256  # handed to a cluster ahead, for workers that come later
+_WAITING_TASKS = 256  # queued on a cluster, for workers that connect later
 
 
 def cores(n_jobs: int) -> int:
@@ -34,7 +34,9 @@ def compute_all(
     note: Callable[[Task, Mapping[str, Loss]], None],
     skip: Callable[[Task], bool],
 ) -> None:
-    """Compute tasks, but those to skip when their turn comes, and note what became of each."""
+    """Compute the tasks, except those that `skip` selects when their turn comes, and pass each task
+    with its losses to `note`.
+    """
     if not tasks:
         return
     prepare(tasks, progress)
@@ -71,7 +73,7 @@ def _on_this_machine(
         backend=options.backend,
         return_as="generator_unordered",
         pre_dispatch="2*n_jobs",
-        max_nbytes=None,  # no arrays by way of pickles on disk
+        max_nbytes=None,  # no memory-mapped copies of arrays on disk
         **own,
     )
     # threads share one BLAS: limit it here, once, not in each block
@@ -80,7 +82,7 @@ def _on_this_machine(
 
 
 def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) -> Iterator[Result]:
-    """The results of tasks on a Dask cluster, once what they wrote is visible here."""
+    """The results of tasks on a Dask cluster, once their parts are visible here."""
     from joblib import Parallel, delayed
 
     # workers open the folder by its full name: their own working folder does not matter
@@ -100,7 +102,7 @@ def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) 
 
 
 def prepare(tasks: Sequence[Task], progress: bool) -> None:
-    """Let estimators compile or load what they need here, once, before workers ask for it all at
+    """Let estimators compile or load their data once in this process, before all workers need it at
     the same time.
     """
     said: set[str] = set()
@@ -115,9 +117,7 @@ def prepare(tasks: Sequence[Task], progress: bool) -> None:
 
 
 def _start_worker(path: list[str], parent: int) -> None:
-    """In a worker process: import from where the parent does, and end when it is gone, however it
-    went.
-    """
+    """Set up a worker process: import from the parent's path, and exit once the parent ends."""
     sys.path[:] = path
 
     def watch() -> None:
@@ -130,8 +130,8 @@ def _start_worker(path: list[str], parent: int) -> None:
 
 @contextmanager
 def _bar(total: int, shown: bool) -> Iterator[Any]:
-    """A progress bar on standard error: replications done, rate, time left. Quiet where nobody
-    watches.
+    """A progress bar on standard error with replications done, rate and time left; hidden unless
+    standard error is a terminal.
     """
     from rich.console import Console
     from rich.progress import (

@@ -24,8 +24,8 @@ INSIDE_95 = 2.4477  # sqrt of the 95 % quantile of chi square with 2 degrees of 
 
 
 def ellipse(row: pd.Series, points: int = 60) -> np.ndarray:
-    """The 95 % ellipse (points, 2) m of the horizontal position that one step of a trace believes
-    in.
+    """The 95 % ellipse (points, 2) m of the horizontal position, from the covariance of one step of
+    a trace.
     """
     xx, yy, xy = row["sigma_x_m"] ** 2, row["sigma_y_m"] ** 2, row["cov_xy_m2"]
     spread, axes = np.linalg.eigh([[xx, xy], [xy, yy]])
@@ -40,9 +40,7 @@ def ellipse(row: pd.Series, points: int = 60) -> np.ndarray:
 def frame(
     traces: Mapping[str, pd.DataFrame], step: int, anchors: Mapping[str, Any], tail: int = 8
 ) -> Figure:
-    """One picture: the truth so far, and each estimator's last positions with the ellipse it
-    believes in.
-    """
+    """One picture: the truth so far, and each estimator's last positions with its 95 % ellipse."""
     figure, axis = plots.new(plots.COLUMN, plots.COLUMN)
     position = np.array(anchors["position_m"], dtype=float)
     _anchors(axis, position, anchors.get("facing"))
@@ -88,7 +86,7 @@ def _estimate(axis: Any, name: str, trace: pd.DataFrame) -> None:
 def write(
     traces: Mapping[str, pd.DataFrame], anchors: Mapping[str, Any], path: Path, dpi: int = 120
 ) -> Path:
-    """Write the GIF of all steps to `path`, which is returned."""
+    """Write the GIF of all steps to `path` and return `path`."""
     import matplotlib.pyplot as plt
     from PIL import Image
 

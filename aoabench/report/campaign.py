@@ -20,7 +20,7 @@ from aoabench.types import Outcome
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_POINTS = 80  # more true positions than that are a track, not reference points
+MOST_POINTS = 80  # true positions; more of them are a track, not reference points
 MOST_DRAWN = 5000  # of a track's fixes, evenly spaced; and of a distribution's steps
 STYLES = ("-", "--", "-.", ":")
 SCALE = "cividis"  # even in lightness, and read by colour-blind readers
@@ -35,10 +35,10 @@ def write(
     bounds: Any = None,
 ) -> list[Path]:
     """Draw <out>/figures/<cell>-cdf.png and -median_map.png from a run's stored fixes, and return
-    their paths; nothing without ground truth.
+    their paths; [] without ground truth.
 
-    truth (T, 2) m, the same in all replications, NaN where it is not known; anchors (B, 2) m;
-    bounds (2, 2) m or None.
+    truth (T, 2) m, the same in all replications, NaN where unknown; anchors (B, 2) m; bounds (2, 2)
+    m or None.
     """
     known = np.isfinite(truth).all(axis=1)
     if not known.any():
@@ -80,10 +80,10 @@ def maps(
 def places(
     truth: np.ndarray, within_m: float = 0.1, most: int = MOST_POINTS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (P, 2) m that positions (T, 2) m lie within a distance of, and which one (T,) each
-    belongs to.
+    """Points (P, 2) m such that each position (T, 2) m lies within `within_m` of one, and the index
+    (T,) of that point.
 
-    The search ends at most + 1 points: a target that is at so many places moves.
+    The search ends at `most` + 1 points, as a target with more of them moves.
     """
     distinct, which = np.unique(truth, axis=0, return_inverse=True)
     place = np.full(len(distinct), -1)
@@ -98,11 +98,11 @@ def cdf(
     errors: Mapping[str, np.ndarray],
     bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
 ) -> Figure:
-    """Share of fixes whose error (N,) is at most so large; a method that gives fewer fixes ends
+    """Plot the share of fixes whose error (N,) is at most x; a method that gives fewer fixes ends
     below 1.
 
-    bands: for some of the methods errors (K,) and the pointwise lower and upper limit (K,) of the
-    share there.
+    bands: for some of the methods, errors (K,) and the pointwise lower and upper limits (K,) of the
+    share at these errors.
     """
     figure, axis = plots.new(plots.COLUMN * 1.35, plots.COLUMN)
     reach = 0.0
@@ -136,8 +136,8 @@ def median_maps(
     anchors: np.ndarray,
     bounds: np.ndarray | None = None,
 ) -> Figure:
-    """A map for each method: the median error (P,) at points (P, 2) m as colour and number; – is no
-    position at all.
+    """A map for each method: the median error (P,) at points (P, 2) m as colour and number; –
+    stands for no position.
 
     anchors (B, 2) m; bounds: lower and upper corner (2, 2) m of the room.
     """
@@ -174,8 +174,8 @@ def track_maps(
     anchors: np.ndarray,
     bounds: np.ndarray | None = None,
 ) -> Figure:
-    """A map for each method: the track (T, 2) m coloured by its error (T,); crosses where there is
-    no position.
+    """A map for each method: the track (T, 2) m coloured by its error (T,); crosses mark fixes
+    without a position.
     """
     thin = slice(None, None, -(-len(points) // MOST_DRAWN))
     points = points[thin]
@@ -199,7 +199,7 @@ def track_maps(
 
 
 def _is_a_way(points: np.ndarray, extent: np.ndarray) -> bool:
-    """Whether positions (T, 2) m follow each other closely instead of jumping about the room."""
+    """Whether positions (T, 2) m form a continuous track instead of jumping about the room."""
     if len(points) < 2:
         return False
     step = np.median(np.hypot(*np.diff(points, axis=0).T))
@@ -210,7 +210,7 @@ def _is_a_way(points: np.ndarray, extent: np.ndarray) -> bool:
 
 
 def _short(value: float) -> str:
-    """A number in three digits or so; – for NaN."""
+    """A number with about three digits; – for NaN."""
     return (
         "–"
         if math.isnan(value)
@@ -225,7 +225,7 @@ def _scale() -> Any:
 
 
 def _norm(values: np.ndarray) -> Any:
-    """From 0 to the value that 95 % stay below."""
+    """A colour scale from 0 to the 95 % quantile of the values."""
     from matplotlib.colors import Normalize
 
     known = values[np.isfinite(values)]
@@ -233,7 +233,7 @@ def _norm(values: np.ndarray) -> Any:
 
 
 def _extent(points: np.ndarray, anchors: np.ndarray, bounds: Any) -> np.ndarray:
-    """Lower and upper corner (2, 2) m of what is drawn, with a margin."""
+    """Lower and upper corner (2, 2) m of points, anchors and bounds, with a margin."""
     corners = [points, anchors] + ([np.asarray(bounds, dtype=float)] if bounds is not None else [])
     all_of_it = np.concatenate(corners)
     low, high = all_of_it.min(axis=0), all_of_it.max(axis=0)
@@ -244,7 +244,9 @@ def _extent(points: np.ndarray, anchors: np.ndarray, bounds: Any) -> np.ndarray:
 
 
 def _spacing(points: np.ndarray, extent: float) -> float:
-    """How far neighbouring points are apart, m: most are at least so far."""
+    """Distance in m that 90 % of the points keep from their nearest neighbour, limited by the
+    extent.
+    """
     if len(points) < 2 or len(points) > 2000:
         return extent / 10
     distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
@@ -253,9 +255,7 @@ def _spacing(points: np.ndarray, extent: float) -> float:
 
 
 def _panels(count: int, extent: np.ndarray) -> tuple[Figure, Any, float]:
-    """A figure with so many panels, their axes in order, and how many inches wide the map in one
-    is.
-    """
+    """A figure with `count` panels, their axes in order, and the width of one map in inches."""
     cols = 2 if count == 4 else min(count, 3)
     rows = math.ceil(count / cols)
     width = plots.PAGE if cols > 1 else plots.COLUMN * 1.2

@@ -32,8 +32,8 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
 
 
 def _head(rows: pd.DataFrame) -> str:
-    """The cell of some rows, the metric, the baseline with its mean, and how intervals are
-    clustered.
+    """Heading of a cell: its parameters, the metric, the baseline with its mean, and the clustering
+    of the intervals.
     """
     first = rows.iloc[0]
     varied = [c for c in rows.columns if c not in (*IDENTITY, *COLUMNS)]
@@ -47,7 +47,7 @@ def _head(rows: pd.DataFrame) -> str:
 
 
 def _method(table: pd.DataFrame) -> Iterator[str]:
-    """How intervals and p-values are to be read."""
+    """Lines that explain the intervals and p-values."""
     m = table.attrs["comparisons"]
     printed = m == np.isfinite(table["p"]).sum()
     among = "comparisons" if printed else "pairs, as the data picked what to compare with"

@@ -38,7 +38,7 @@ BOUND = {
     "zorder": 5,
 }  # the square root of the Cramér-Rao bound, everywhere
 BOUND_LABEL = "square root of the CRB"
-# What a file says of its making would differ from one day to the next: left out
+# Dates and versions are left out, as they would make equal figures differ
 _METADATA: dict[str, dict[str, Any]] = {
     "png": {"Software": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
@@ -83,8 +83,8 @@ def bound_ratio(axis: Any, label: str | None = None) -> None:
 
 
 def log_bars(value: Any, se: Any) -> list[Any]:
-    """Lengths (2, N) of bars of three standard errors; the lower ones end above 0, which a
-    logarithmic axis does not have.
+    """Lengths (2, N) of error bars of three standard errors; lower bars are cut to end above 0, as
+    a logarithmic axis requires.
     """
     import numpy as np
 

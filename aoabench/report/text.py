@@ -6,7 +6,7 @@ from math import floor, log10
 
 
 def printed_text(value: float | None, rounding: float) -> str:
-    """A printed number with the digits that it was printed with."""
+    """A number with as many digits as in print."""
     if value is None:
         return "-"
     return (
@@ -18,7 +18,7 @@ def number_text(value: float, se: float) -> str:
     """A number with its standard error, to the digits that the error supports."""
     if value != value:
         return "-"
-    if se != se or se <= 1e-12 * abs(value):  # none, or what rounding leaves of none
+    if se != se or se <= 1e-12 * abs(value):  # no standard error, or 0 up to rounding
         return f"{value:.4g}"
     if abs(value) >= 1e6:
         return f"{value:.3g} ± {se:.1g}"

@@ -1,4 +1,4 @@
-"""Picture of one replayed replication: its path, its errors and what the filter saw."""
+"""Picture of one replayed replication: path, errors, innovations and effective particles."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def figure(
     """Plan and errors of a trace (see `engine.replay.replay`), below them innovations and effective
     particles, if any.
 
-    anchors (B, 3) m, walls (W, 2, 2) m or None; `moving`: the positions are one way, not separate
+    anchors (B, 3) m, walls (W, 2, 2) m or None; `moving`: the positions are one path, not separate
     points.
     """
     seen = [c for c in frame.columns if c.startswith("innovation_") and not c.endswith("range_m")]
@@ -83,7 +83,7 @@ def _plan(
 
 
 def _way(axis: Any, frame: pd.DataFrame) -> None:
-    """Draw the true and the estimated way, with ellipses."""
+    """Draw the true and the estimated path, with ellipses."""
     x, y, at, to = (frame[c].to_numpy() for c in POSITIONS)
     blue, marker = plots.COLOURS["vmf"], "." if len(frame) <= 300 else "none"
     axis.plot(x, y, color=plots.GREY, linewidth=2.2, alpha=0.7, label="truth")
@@ -105,7 +105,7 @@ def _points(axis: Any, frame: pd.DataFrame) -> None:
 
 
 def _ellipses(axis: Any, frame: pd.DataFrame, colour: str) -> None:
-    """Two standard deviations about some of the estimates."""
+    """Draw ellipses of two standard deviations about some of the estimates."""
     from matplotlib.patches import Ellipse
 
     if "cov_xx_m2" not in frame:

@@ -1,5 +1,4 @@
-"""Paired comparison of the estimators of a run: a table in which every line states a difference
-and its uncertainty.
+"""Paired comparison of a run's estimators: each line states a difference and its uncertainty.
 
 Pairs are replications, which all estimators see with the same draws. Where replications share their
 positions, RMSE and iterations are clustered by position, as in the summary. p-values are adjusted
@@ -59,18 +58,19 @@ COLUMNS = (
 def compare(
     run: str | os.PathLike[str], baseline: str | None = None, metric: str = "rmse_3d_m"
 ) -> pd.DataFrame:
-    """A row per estimator and cell of a run, compared with `baseline` (none: the smallest mean of
+    """A row per estimator and cell of a run, compared with `baseline` (None: the smallest mean of
     each cell).
 
-    Columns: cell, scenario, noise, what differs between cells; metric, estimator, baseline; n pairs
-    of `of` replications; mean, baseline_mean; change (of the mean against the baseline's, in
-    `unit`: %, percentage points, or the metric's own) with its 95 % interval change_low,
-    change_high; p, p_holm; verdict; by (what is taken as independent) and units (how many); needed
-    (units that would show 1 %, with probability 0.8); text (the line).
+    Columns: cell, scenario, noise, the parameters that differ between cells; metric, estimator,
+    baseline; n pairs of `of` replications; mean, baseline_mean; change (of the mean against the
+    baseline's, in `unit`: %, percentage points, or the metric's own) with its 95 % interval
+    change_low, change_high; p, p_holm; verdict; by (the independent unit: replication or position)
+    and units (their number); needed (units needed to detect 1 % with probability 0.8); text (the
+    line).
 
     Where the data pick the baseline, Holm's method counts all pairs of a cell, printed or not.
-    Raises UserError for a run, metric or baseline that is not there, and RunError where parts have
-    vanished that the intervals need.
+    Raises UserError for a run, metric or baseline that does not exist, and RunError if parts that
+    the intervals need are missing.
     """
     import pandas as pd
 
@@ -127,8 +127,8 @@ def _replications(run: str | os.PathLike[str], baseline: str | None, metric: str
 def _of_cell(
     run: Path, cell: str, rows: pd.DataFrame, baseline: str | None, metric: str, clustered: bool
 ) -> tuple[list[Comparison], list[float]]:
-    """The comparisons with the baseline, in the order of the means; and, of a baseline that the
-    data pick, the p-values of the other pairs.
+    """The comparisons with the baseline, in the order of the means; if the data pick the baseline,
+    also the p-values of the other pairs.
     """
     wide = rows.pivot(index="replication", columns="estimator", values=metric)
     means = wide.mean().sort_values()  # those without any value come last
@@ -146,7 +146,9 @@ def _of_cell(
 def _pairing(
     run: Path, cell: str, wide: pd.DataFrame, metric: str, clustered: bool
 ) -> Callable[[str, str], tuple[Paired, str]]:
-    """The function that compares two columns of `wide`, and says what it takes as independent."""
+    """A function that compares two columns of `wide`; it returns the result and its independent
+    unit.
+    """
     known: dict[tuple[str, bytes], np.ndarray] = {}
 
     def influence(name: str, kept: np.ndarray) -> np.ndarray:

@@ -11,13 +11,13 @@ import numpy as np
 from aoabench.maths import statistics
 from aoabench.maths.statistics import Paired
 
-LEVEL = 0.05  # of all claims of a table together; intervals are 95 % ones, each by itself
+LEVEL = 0.05  # of all claims of a table together; each 95 % interval stands alone
 FAILURES = "failure_rate"
 NONE_SEEN, EQUAL, TOO_FEW, NO_VALUES = "no difference seen", "equal", "too few", "no values"
 
 
 class Verdict(NamedTuple):
-    """What a comparison shows, the units that would show 1 % (NaN: not known), and the line."""
+    """Verdict of a comparison, the units needed to detect 1 % (NaN: unknown), and the line."""
 
     word: str
     needed: float
@@ -28,8 +28,8 @@ class Verdict(NamedTuple):
 class Comparison:
     """An estimator against the baseline of a cell, in the replications where both have a value.
 
-    The means are over each one's own values, `of` is the number of replications, and `by` names
-    what is independent: replication or position.
+    Each mean covers all values of its own estimator. `of` is the number of replications, and `by`
+    names the independent unit: replication or position.
     """
 
     metric: str
@@ -52,7 +52,9 @@ class Comparison:
 
     @property
     def change(self) -> tuple[float, float, float]:
-        """The change and the ends of its 95 % interval, which of a rate is about a shrunken one."""
+        """The change and the ends of its 95 % interval, which for a rate is centred on a shrunken
+        change.
+        """
         pair = self.pair
         if math.isfinite(pair.percent.value):
             change, ends = pair.percent, pair.percent_interval()
@@ -75,7 +77,7 @@ class Comparison:
         }  # fmt: skip
 
     def verdict(self, p_holm: float, comparisons: int) -> Verdict:
-        """Whether a difference is seen, at LEVEL over that many comparisons."""
+        """The verdict, with LEVEL as the level of all `comparisons` together."""
         a, b, pair = self.estimator, self.baseline, self.pair
         means = {a: self.mean, b: self.baseline_mean}
         empty = [name for name, mean in means.items() if math.isnan(mean)]
@@ -95,7 +97,7 @@ class Comparison:
         return self._unseen(p_holm, need)
 
     def _seen(self, p_holm: float, needed: float) -> Verdict:
-        """A difference that is claimed, with the smaller value called by its word."""
+        """The verdict for a significant difference; its word says how the estimator compares."""
         change, low, high = self.change
         smaller = change < 0
         ends = (-high, -low) if smaller else (low, high)
@@ -106,7 +108,7 @@ class Comparison:
         return Verdict(word, needed, line)
 
     def _unseen(self, p_holm: float, needed: float) -> Verdict:
-        """No difference, and how many units would show 1 %."""
+        """The verdict for no significant difference, with the units needed to detect 1 %."""
         said = f"{self._change(*self.change, '+')}, {_p(p_holm)}"
         a, b = self.estimator, self.baseline
         line = f"{a} and {b}: no difference seen at this {self._count()}: {said}"
@@ -125,7 +127,7 @@ class Comparison:
         return f"{texts[0]}{f' {self.unit}'.rstrip()} [{texts[1]}, {texts[2]}]"
 
     def _count(self) -> str:
-        """How many pairs, and of how many replications if not of all."""
+        """The number of pairs, and of replications if some form no pair."""
         n = self.pair.n
         part = f" (only {n} of {self.of} replications have both)" if n < self.of else ""
         return f"N = {n}{part}"
@@ -136,7 +138,7 @@ def _p(p_holm: float) -> str:
 
 
 def words(metric: str) -> tuple[str, str]:
-    """What an estimator is called whose values are smaller, or larger, than another one's."""
+    """The words for an estimator whose values are smaller, and larger, than another estimator's."""
     lower_is_better = metric.startswith("rmse") or metric == FAILURES
     return ("better", "worse") if lower_is_better else ("lower", "higher")
 

@@ -39,7 +39,7 @@ def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = No
 
 
 def provenance(config: Any = None) -> dict[str, Any]:
-    """Where numbers come from: config, versions, processor, time."""
+    """Origin of numbers: config, versions, processor, time."""
     return {
         "config": config,
         "aoabench": version("aoabench"),
@@ -61,11 +61,12 @@ def _cpu_features() -> list[str]:
 
 @contextlib.contextmanager
 def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Hold the folder's lock: one run at a time writes into it; `say` gets a line if another one
-    has to end first.
+    """Hold the folder's lock, so that one run at a time writes into it; `say` gets a line if
+    another run has to end first.
 
-    The system lets go of the lock whatever ends the process. Where file systems have no locks, runs
-    that overlap compute some parts twice and the tables show the cells of the one that ended last.
+    The operating system releases the lock whatever ends the process. On file systems without locks,
+    overlapping runs compute some parts twice, and the tables show the cells of the run that ended
+    last.
     """
     try:
         import fcntl
@@ -109,8 +110,8 @@ def write_atomically(path: Path, write: Any) -> None:
 
 
 def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> str:
-    """Columns of equal length to a Parquet file of this schema, atomically; returns the checksum of
-    its content.
+    """Write columns of equal length to a Parquet file of this schema, atomically; return the
+    checksum of its content.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -137,7 +138,7 @@ def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> s
 
 
 def write_frame(path: Path, frame: pd.DataFrame, origin: Mapping[str, Any] | None = None) -> None:
-    """A pandas frame to Parquet, atomically, with provenance."""
+    """Write a pandas frame to Parquet, atomically, with provenance."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -151,7 +152,7 @@ def write_frame(path: Path, frame: pd.DataFrame, origin: Mapping[str, Any] | Non
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
-    """The provenance that a Parquet file of ours carries; {} if none."""
+    """The provenance that a Parquet file written here carries; {} if none."""
     import pyarrow.parquet as pq
 
     text = (pq.read_schema(path).metadata or {}).get(b"aoabench")

@@ -26,7 +26,7 @@ class Fixes:
     (R, T).
 
     error_3d_m, error_xy_m in m (NaN: no position), iterations, score and anchors_used of
-    types.Estimates (NaN: none told), outcome of types.Outcome, place the number of the true
+    types.Estimates (NaN: not reported), outcome of types.Outcome, place: the number of the true
     position, which several fixes may share.
     """
 

@@ -30,13 +30,13 @@ def record_cell(
     reps: Mapping[str, int],
     precision: Mapping[str, Any],
 ) -> None:
-    """Note that the tables of `out` shall show this cell with the first `reps` replications of
-    these estimators.
+    """Record that the tables of `out` show this cell with the first `reps` replications of these
+    estimators.
 
-    `precision` is what each reached of cell.runner.until.
+    `precision` maps each estimator to the precision that it reached under cell.runner.until.
 
-    Estimators noted earlier stay, if they saw the same draws; those of an older simulation are
-    dropped, because nobody may pair them.
+    Estimators recorded earlier stay if they saw the same draws; those of an older simulation are
+    dropped, because they must not be paired with the new ones.
     """
     before = read_record(out / "cells" / f"{cell.id}.json")
     if before.get("draws") != draws:
@@ -76,7 +76,7 @@ def write_record(out: Path, record: Mapping[str, Any]) -> None:
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """A cell's record; {} if there is none, it is torn, or it names files elsewhere."""
+    """A cell's record; {} if the file is missing, torn or names files in another folder."""
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
         record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         keys = [entry["key"] for entry in record.get("estimators", {}).values()]
@@ -86,13 +86,13 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def records(out: Path) -> list[dict[str, Any]]:
-    """The noted cells, by name."""
+    """The records of all cells, in the order of the cells' names."""
     found = [read_record(path) for path in sorted((out / "cells").glob("*.json"))]
     return [record for record in found if record]
 
 
 def known_timing(out: Path) -> dict[str, Any]:
-    """Timings noted so far, by part key."""
+    """Timings recorded so far, by part key."""
     return {
         e["key"]: e["timing"]
         for r in records(out)
@@ -102,8 +102,8 @@ def known_timing(out: Path) -> dict[str, Any]:
 
 
 def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, str]:
-    """What went wrong in the first `reps` replications of some parts, by number; `lost`: where no
-    position was left.
+    """Error messages of the first `reps` replications of some parts, by number; with `lost`, only
+    of replications without any position.
     """
     import pyarrow.parquet as pq
 
@@ -149,8 +149,10 @@ def values(out: Path, key: str, column: str, reps: int) -> np.ndarray:
 
 
 def noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.Table]:
-    """The parts of one noted estimator as tables, cut to its replications 0 ... reps-1 and in their
+    """The parts of one recorded estimator as tables, cut to its replications 0 ... reps-1, in
     order.
+
+    Raises RunError if replications are missing.
     """
     import pyarrow.compute as pc
     import pyarrow.parquet as pq

@@ -59,8 +59,8 @@ def draws_key(cell: Cell) -> str:
 
 
 def code_key(cell: Cell) -> str:
-    """Hash of the source and libraries that a cell's numbers depend on, as they are where this is
-    called.
+    """Hash of the source and libraries that a cell's numbers depend on, as installed on this
+    machine.
     """
     modules = _modules([cell.scenario, cell.noise, *cell.estimators.values()]) - {"__main__"}
     source = source_hash({"aoabench.engine.block", *modules}, cell.plugins)
@@ -86,9 +86,10 @@ def _modules(values: Iterable[Any]) -> set[str]:
 
 
 def source_hash(roots: Iterable[str], plugins: Sequence[str] = ()) -> str:
-    """Hash of the syntax trees, docstrings left out, of the modules `roots` and of all they import,
-    as far as that is not an installed library. A class typed into a session has no file: its hash
-    is unique, so it is never reused.
+    """Hash of the syntax trees, without docstrings, of the modules `roots` and of all modules they
+    import, except installed libraries.
+
+    A class defined interactively has no file; its hash is unique, so that it is never reused.
     """
     ours = ("aoabench", *plugins)
     seen: dict[str, str] = {}

@@ -1,16 +1,15 @@
-"""Parquet in and out: parts that are never computed twice, their keys, their provenance and
-integrity.
+"""Parts in Parquet files, which are never computed twice: their keys, provenance and integrity.
 
     <out>/parts/<key>/<start>-<stop>.<kind>.<unique>.parquet
         rows (or steps, or fixes) of one estimator in one cell, provenance as metadata
     <out>/parts/<key>/<start>-<stop>.json
-        its seal: file names and checksums; without a matching one the part is computed again
+        checksum file: file names and checksums; without a matching one the part is computed again
     <out>/parts/<key>/<start>-<stop>.json.damaged
-        a seal that did not match its files
+        a checksum file that did not match its files
 
 A part's key covers everything its numbers depend on (scenario, noise, this estimator's config,
-seed, source code, library versions) and nothing else; the tables that people read are made from the
-parts by `tables`.
+seed, source code, library versions) and nothing else; `tables` makes the tables of a run from its
+parts.
 """
 
 from __future__ import annotations
@@ -30,9 +29,7 @@ from aoabench.store.files import file_checksum, schema, write_atomically, write_
 
 @dataclass(frozen=True)
 class Part:
-    """Replications start..stop-1 of one estimator, and the file of each kind (see KINDS) that it
-    consists of.
-    """
+    """Replications start..stop-1 of one estimator, and its file of each kind (see KINDS)."""
 
     start: int
     stop: int
@@ -47,10 +44,11 @@ def write_part(
     block: Mapping[str, Mapping[str, Any]],
     origin: Mapping[str, Any],
 ) -> None:
-    """What a block found for one estimator, a table for each kind.
+    """Write one estimator's results of a block, a table for each kind.
 
-    Files get names of their own; the seal <start>-<stop>.json, written last, names them with their
-    checksums and makes the part count. So two processes that write the same part do not mix.
+    Each file gets a unique name; the checksum file <start>-<stop>.json, written last, lists them
+    with their checksums and makes the part valid. So two processes that write the same part do not
+    mix.
     """
     folder, span = out / "parts" / key, f"{start:09d}-{stop:09d}"
     written = {}
@@ -65,7 +63,7 @@ def write_part(
 
 
 def _unsealed(seal: Path) -> Part | None:
-    """The part of a seal; None if it is torn or altered or does not fit its files."""
+    """The part of a checksum file; None if the checksum file is torn, altered or does not match."""
     try:
         named = json.loads(seal.read_text(encoding="utf-8"))
         files = {kind: seal.parent / Path(name).name for kind, (name, _) in named.items()}
@@ -77,23 +75,21 @@ def _unsealed(seal: Path) -> Part | None:
 
 
 def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:
-    """The parts whose checksums fit and that have this kind, in order; a torn or altered one is not
-    listed.
-    """
+    """The parts of this kind whose checksums match, in order, without torn or altered ones."""
     parts = (_unsealed(seal) for seal in sorted((out / "parts" / key).glob("*.json")))
     return [part for part in parts if part is not None and kind in part.files]
 
 
 def has_part(out: Path, key: str, start: int, stop: int, kind: str = "rows") -> bool:
-    """Whether exactly this part is there and intact."""
+    """Whether exactly this part exists and is intact."""
     seal = out / "parts" / key / f"{start:09d}-{stop:09d}.json"
     part = _unsealed(seal) if seal.exists() else None
     return part is not None and kind in part.files
 
 
 def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
-    """All intact parts, in order, and the seals that do not fit their files, renamed so that they
-    are told of once.
+    """All intact parts, in order, and the checksum files that do not match, renamed so that they
+    are reported once.
     """
     parts, damaged = [], []
     for seal in sorted((out / "parts" / key).glob("*.json")):
@@ -106,7 +102,7 @@ def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
 
 
 def missing_ranges(done: Sequence[tuple[int, int]], reps: int) -> list[tuple[int, int]]:
-    """What is left of 0..reps-1 after the ranges `done`."""
+    """The ranges of 0..reps-1 that the ranges `done` do not cover."""
     gaps, position = [], 0
     for start, stop in sorted(done):
         if start > position:

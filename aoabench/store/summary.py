@@ -23,9 +23,10 @@ class Clusters:
     """Sums over replications for each of P true positions that all replications share; every array
     (P,).
 
-    fixes: accepted ones; square_3d, square_xy: of their errors, m^2; iterations: theirs;
-    influence_3d, ..: what the position adds to the mean over replications of the RMSE, about that
-    mean, m; replications: how many were summed.
+    fixes: number of accepted fixes; square_3d, square_xy: sums of their squared errors, m^2;
+    iterations: sum of their iterations; influence_3d, influence_xy, influence_z: sums of the
+    position's linearised contributions to each replication's RMSE, about that RMSE, m;
+    replications: the number summed.
     """
 
     replications: int
@@ -41,7 +42,7 @@ class Clusters:
         return Clusters(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     def grouped(self, place: np.ndarray) -> Clusters:
-        """The same with one position for each number among `place` (P,), which counts from 0."""
+        """The sums added up over equal numbers in `place` (P,), which counts from 0."""
         sums = (
             np.bincount(place, getattr(self, f.name))
             for f in fields(self)
@@ -50,14 +51,14 @@ class Clusters:
         return Clusters(self.replications, *sums)
 
     def influence(self, metric: str) -> Array | None:
-        """P times what each position (P,) adds to the mean over replications of a metric, about it;
-        None if unknown.
+        """Terms (P,) whose mean has the standard error of a metric's mean over replications; None
+        for a metric that is not clustered.
 
-        The metric is a column of the replications table; the standard error of its mean is that of
-        these terms' mean.
+        Each term is P times the position's contribution to that mean, about the mean. The metric is
+        a column of the replications table.
         """
         if metric == "iterations":
-            n = np.maximum(self.fixes, 1e-300)  # none at all: nothing to tell, without a warning
+            n = np.maximum(self.fixes, 1e-300)  # without any fix: no warning about a division by 0
             return np.asarray((self.iterations - n * self.iterations.sum() / n.sum()) / n.mean())
         axis = {"rmse_3d_m": "3d", "rmse_xy_m": "xy", "rmse_z_m": "z"}.get(metric)
         return (
@@ -67,10 +68,11 @@ class Clusters:
         )
 
     def standard_errors(self) -> dict[str, float]:
-        """Standard errors clustered by position, by the summary's names of what they belong to.
+        """Standard errors clustered by position, by the names of the summary columns that they
+        belong to.
 
-        Positions are taken as drawn independently; all fixes of one position may depend on each
-        other.
+        Positions are assumed to be drawn independently; all fixes of one position may depend on
+        each other.
         """
         n = np.where(self.fixes > 0, self.fixes, np.nan)
         squares = {
@@ -89,7 +91,7 @@ class Clusters:
 def position_sums(
     error_3d: Array, error_xy: Array, iterations: Array, accepted: np.ndarray
 ) -> Clusters:
-    """Sums per position from errors in m, iterations and whether a fix counts, each (R, P)."""
+    """Sums per position from errors in m, iterations and whether a fix is accepted, each (R, P)."""
     a, n = accepted.astype(float), np.maximum(accepted.sum(axis=1), 1)[:, None]
     square = {"3d": np.where(accepted, error_3d, 0.0).astype(float) ** 2}
     square["xy"] = np.where(accepted, error_xy, 0.0).astype(float) ** 2

@@ -33,8 +33,8 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     """Make the tables of `out` from its parts; `only` names the cells whose rows have changed
     (None: all).
 
-    Raises UserError if `out` holds no run, and RunError if a part has vanished, so that no table is
-    silently short.
+    Raises UserError if `out` holds no run, and RunError if a part is missing, so that no table is
+    silently incomplete.
     """
     noted = records(out)
     if not noted:
@@ -85,7 +85,7 @@ def _cell_table(
 
 
 def _write_summary(out: Path, noted: Sequence[Mapping[str, Any]]) -> None:
-    """The summary and the failures of every estimator in every cell."""
+    """Write the summary and the failures of every estimator in every cell."""
     import pandas as pd
 
     rows, failed = [], []
@@ -102,8 +102,8 @@ def _write_summary(out: Path, noted: Sequence[Mapping[str, Any]]) -> None:
 
 
 def one_kind(values: pd.Series) -> pd.Series:
-    """A column that Parquet can hold: as it is if all values are numbers, all text or all true or
-    false, else text.
+    """The column as Parquet can store it: unchanged if its values are all numbers, all text or all
+    bool, else as text.
     """
     there = values.dropna()
     kinds = {bool if isinstance(v, bool) else str if isinstance(v, str) else float for v in there}
@@ -112,8 +112,8 @@ def one_kind(values: pd.Series) -> pd.Series:
 
 
 def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
-    """The replications of all cells with the columns of the cell table that they lack, cell by cell
-    into one file.
+    """Write the replications of all cells, with the cell table's columns that they lack, cell by
+    cell into one file.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -127,7 +127,7 @@ def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
 
     repeated = [
         name for name in outer.names if REPLICATIONS.get(name) != "double"
-    ]  # others gain nothing by a dictionary
+    ]  # a dictionary saves nothing for doubles
 
     def write(temporary: Path) -> None:
         with pq.ParquetWriter(
@@ -144,7 +144,7 @@ def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
 
 
 def note_timing(out: Path, timing: Mapping[str, Any]) -> None:
-    """Enter timings by part key into the records, and make the timing table."""
+    """Enter timings by part key into the records, and write the timing table."""
     for record in records(out):
         entries = record["estimators"].values()
         if any(entry["key"] in timing for entry in entries):
@@ -155,7 +155,7 @@ def note_timing(out: Path, timing: Mapping[str, Any]) -> None:
 
 
 def write_timing(out: Path) -> None:
-    """The timing table, and that of the precision reached, from the noted cells."""
+    """Write the timing table and the table of the precision reached, from the recorded cells."""
     noted = records(out)
     for kind, columns in (("timing", TIMING), ("precision", PRECISION)):
         found = [
@@ -250,7 +250,7 @@ def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, 
     for name in keep:
         if (
             len({_kind(values[name]) for values in found.values()} - {None}) > 1
-        ):  # a number here, a list there: texts
+        ):  # mixed types are stored as text
             for values in found.values():
                 values[name] = None if values[name] is None else str(values[name])
     return found

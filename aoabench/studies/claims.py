@@ -62,7 +62,7 @@ def verdicts(studies: list[Study], results: Path) -> pd.DataFrame:
 
 
 def _judge(study: Study, entry: dict[str, Any], found: Found) -> dict[str, Any]:
-    """The row of one printed number or claim; UserError if it names an item that is not there."""
+    """The row of one printed number or claim; UserError if its item is not in study.yaml."""
     if entry["item"] not in {item.name for item in study.items}:
         raise UserError(
             f"{study.folder / 'printed.yaml'}: {entry['id']}: "

@@ -42,8 +42,8 @@ def write(
     results: Path,
     problems: Mapping[tuple[str, str], str] | None = None,
 ) -> Path:
-    """Write <results>/report/index.html and return its path; `problems` says which figures did not
-    come out.
+    """Write <results>/report/index.html and return its path; `problems` maps (study, item) to the
+    reason why a figure is missing ("" if none).
     """
     import jinja2
 
@@ -62,7 +62,7 @@ def write(
         row["ours_sort"] = "" if row["ours"] != row["ours"] else f"{row['ours']:.6g}"
     ordered = sorted(
         everything, key=lambda s: not s.printed
-    )  # a leaderboard, which prints nothing, comes last
+    )  # a leaderboard has no printed numbers and comes last
     html = environment.get_template("page.html.j2").render(
         studies=[_study(s, rows, results, problems or {}) for s in ordered],
         rows=rows,
@@ -118,7 +118,8 @@ def _study(
 def readings(markdown: str) -> str:
     """HTML of a study's README without its title: second-level headings become <h4>.
 
-    Of links and images the text remains, as the page stands alone; HTML in the text stays text.
+    Links and images are replaced by their text, as the page is self-contained; HTML in the text is
+    escaped.
     """
     from markdown_it import MarkdownIt
 
@@ -135,7 +136,7 @@ def readings(markdown: str) -> str:
     tokens = parser.parse(markdown)
     titles = [i for i, t in enumerate(tokens) if (t.type, t.tag) == ("heading_open", "h1")]
     for i in reversed(titles):
-        del tokens[i : i + 3]  # it, its text and its end
+        del tokens[i : i + 3]  # heading_open, its text and heading_close
     for token in tokens:
         if token.type in ("heading_open", "heading_close"):
             token.tag = f"h{min(int(token.tag[1]) + 2, 6)}"
@@ -156,7 +157,7 @@ def embedded(figure: Path, colours: int = 255) -> str:
 
 
 def _made(origin: Mapping[str, Any]) -> str:
-    """Scale, seconds, time and version of a table in a line, as far as it tells them."""
+    """Scale, seconds, time and version of a table in one line, if its provenance has them."""
     told = {"scale": "scale {}", "seconds": "{} s", "time": "{}", "aoabench": "aoabench {}"}
     return ", ".join(text.format(origin[key]) for key, text in told.items() if key in origin)
 
@@ -168,8 +169,8 @@ def _machine(origin: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _settings(config: Any) -> list[tuple[str, str]]:
-    """Dotted keys and values of a table's config; of several cells, what differs between them is
-    listed.
+    """Dotted keys and values of a table's config; for several cells, each key with its distinct
+    values.
     """
     if not isinstance(config, dict):
         return []
@@ -191,7 +192,7 @@ def _short(value: Any) -> str:
 
 
 def _bench(path: Path) -> dict[str, Any]:
-    """The rows of the bench table as texts, or why there are none."""
+    """The rows of the bench table as texts, or the reason for their absence as `status`."""
     import pandas as pd
 
     try:
@@ -206,8 +207,8 @@ def _bench(path: Path) -> dict[str, Any]:
 
 
 def _effect(effect: dict[str, str] | None, found: dict[str, Any]) -> str:
-    """What an erratum does, in words and a number of ours; nothing if it says none or was not
-    computed.
+    """The effect of an erratum, as words and our number; "" if the erratum has none or its number
+    was not computed.
     """
     if effect is None or effect["id"] not in found:
         return ""
@@ -216,5 +217,5 @@ def _effect(effect: dict[str, str] | None, found: dict[str, Any]) -> str:
 
 
 def _ids(effect: dict[str, str]) -> list[str]:
-    """What an effect's number is, and what it is instead of, if it says."""
+    """The id of an effect's number, and the id of the number that it replaces, if given."""
     return [effect[key] for key in ("id", "instead_of") if key in effect]

@@ -1,4 +1,4 @@
-"""What the stored table of an item says, and its figure."""
+"""Read an item's stored table, and draw its figure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _UNFIT = (
     TypeError,
     ValueError,
     OSError,
-)  # from reading a table for what it lacks
+)  # raised where a table lacks what is read
 
 
 def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
@@ -33,10 +33,10 @@ def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
 
 
 def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:
-    """Draw an item's figure from its stored table, if it has both; returns what was wrong with the
-    table, or "".
+    """Draw an item's figure from its stored table, if it has both; return the fault of the table,
+    or "".
 
-    A figure that does not come out of its table does not stay either.
+    A figure that cannot be drawn from its table is deleted.
     """
     path = figure_path(results, study, item)
     if not item.figure or not table_path(results, study, item).exists():
@@ -54,14 +54,14 @@ def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("p
 
 @dataclass(frozen=True)
 class Reading:
-    """What an item's stored table says."""
+    """The content of an item's stored table."""
 
     stored: bool
     values: dict[
         str, tuple[Estimate, float]
     ]  # by id, with the samples they rest on (NaN: not sampled)
     shown: pd.DataFrame | None = None  # texts to show as a table, where figures.py has NAME_table
-    problem: str = ""  # why a stored table says nothing
+    problem: str = ""  # why a stored table cannot be read
 
 
 def read(study: Study, item: Item, results: Path) -> Reading:

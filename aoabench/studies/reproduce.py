@@ -32,8 +32,8 @@ Echo = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Drawn:
-    """What `draw` found: the verdicts of the named studies (see `claims.verdicts`), why an item has
-    no table (empty where it has one), and the path of the page.
+    """Result of `draw`: the verdicts of the named studies (see `claims.verdicts`), the reason by
+    (study, item) why a table cannot be used ("" if it can), and the path of the page.
     """
 
     verdicts: pd.DataFrame
@@ -43,14 +43,16 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Reproduced:
-    """What `reproduce` computed, a mapping (study, item, rows, seconds) for each item, and drew."""
+    """Result of `reproduce`: `computed` has a mapping (study, item, rows, seconds) for each item,
+    and `drawn` is the result of `draw`.
+    """
 
     computed: list[dict[str, Any]]
     drawn: Drawn
 
 
 def all_studies() -> list[str]:
-    """Names of the studies that ship."""
+    """Names of the shipped studies."""
     return study.names()
 
 
@@ -108,7 +110,7 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
             "function": f"experiments/{s.name}/{_file_of(reduce, s.folder)}:{item.name}",
             "scale": scale,
         }
-    out = results / "raw" / s.name  # one folder a study: what two items need is computed once
+    out = results / "raw" / s.name  # one folder a study, so that its items share cells
     cells = compose_cells(
         [f"experiment={item.experiment}", *item.scale[scale], file_setting("runner.out", out)]
     )
@@ -137,7 +139,8 @@ def draw(
 ) -> Drawn:
     """Figures of the named studies, and verdicts and page of all, from the tables under `results`.
 
-    A line tells of each table that is of another version, and of each study what is not there.
+    `echo` gets a line for each table of another version, and for each study one with the items that
+    have no table.
     """
     writable(str(results / "figures"), "--results")
     problems: dict[tuple[str, str], str] = {}

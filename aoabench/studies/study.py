@@ -1,4 +1,4 @@
-"""One study: its items, and where their tables and figures lie."""
+"""One study: its items, and the paths of their tables and figures."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Item:
     figure: bool = True
     experiment: str | None = None
     scale: Any = None  # quick, medium and paper: the overrides of an item with an experiment
-    # what its function gets: their tidy frame, or (cell, {estimator: fixes}) of each cell
+    # input of its function: replications (a tidy frame) or fixes ((cell, {estimator: fixes}) each)
     reads: str = "replications"
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study's folder, read."""
+    """The content of a study's folder."""
 
     name: str
     folder: Path
@@ -50,14 +50,14 @@ class Study:
 
     @property
     def figures(self) -> ModuleType:
-        """The module or package `figures`: per item a function of its table that draws it, and one,
-        ITEM_values, that reads its numbers.
+        """The module or package `figures`: per item, the function ITEM draws the figure from a
+        table, and ITEM_values reads our numbers from it.
         """
         return _module(self.folder, "figures")
 
 
 def names() -> list[str]:
-    """Studies that ship."""
+    """Names of the shipped studies, sorted."""
     return sorted(p.parent.name for p in shipped("experiments").glob("*/study.yaml"))
 
 
@@ -93,10 +93,10 @@ def _module(folder: Path, name: str) -> ModuleType:
 
 
 def table_path(results: Path, study: Study, item: Item) -> Path:
-    """Where an item's table lies."""
+    """Path of an item's table."""
     return results / "tables" / f"{study.name}_{item.name}.parquet"
 
 
 def figure_path(results: Path, study: Study, item: Item) -> Path:
-    """Where an item's figure lies."""
+    """Path of an item's figure."""
     return results / "figures" / f"{study.name}_{item.name}.png"

@@ -39,11 +39,12 @@ def verdict(
 
     `printed` is a number, known to +- `rounding` (half a unit of its last digit), or an interval
     that the paper claims (low, high); `printed_se` is the printed number's own Monte Carlo error,
-    where its sample size is known. Reproduced means: ours lies in the printed interval, widened by
-    z standard errors; for a claim with `strict`: it lies inside by z standard errors, so that
-    chance alone does not confirm it. `in_kind` says whether ordering or shape holds. With z = 3 a
-    true number is missed with probability below 0.3 %. A number without a standard error (NaN) is
-    not judged: not computed. Errors that are exactly 0 belong to closed forms.
+    where its sample size is known. "reproduced" means that our number lies in the printed interval,
+    widened by z standard errors. For a claim with `strict`, our number must lie inside by z
+    standard errors, so that chance alone does not confirm the claim. `in_kind` states whether
+    ordering or shape holds. With z = 3 a true number is missed with probability below 0.3 %. A
+    number whose standard error is NaN is "not computed". A standard error of exactly 0 belongs to a
+    closed form.
     """
     if ours is None or math.isnan(ours.value) or math.isnan(ours.se):
         return NOT_COMPUTED
@@ -59,7 +60,7 @@ def verdict(
     if strict and ours.value in (
         low,
         high,
-    ):  # not by any margin, even where there is no error at all
+    ):  # on the bound is not inside, even for a standard error of 0
         return IN_KIND if in_kind else NOT_REPRODUCIBLE
     if low - slack - tolerance <= ours.value <= high + slack + tolerance:
         return REPRODUCED
@@ -69,10 +70,11 @@ def verdict(
 def undecided(
     printed: Any, rounding: float, ours: Estimate, *, strict: bool = False, z: float = 3.0
 ) -> str:
-    """Why a verdict rests on too few replications: a sentence, or nothing if it does not.
+    """The reason why a verdict rests on too few replications; "" if it rests on enough.
 
-    A strict claim is undecided while ours lies within z standard errors of its bound; a number
-    while z standard errors exceed five times its rounding, unless ours is clearly another one.
+    A strict claim is undecided while our number lies within z standard errors of its bound; a
+    number, while z standard errors exceed five times its rounding, unless ours clearly differs from
+    it.
     """
     slack = z * ours.se
     if strict and isinstance(printed, tuple):
@@ -86,7 +88,7 @@ def undecided(
 
 
 def same_order(printed: ArrayLike, ours: ArrayLike) -> bool:
-    """Whether numbers that differ in print stand in the same order among ours."""
+    """Whether our numbers are finite and have the order of the printed ones, where these differ."""
     p, o = np.asarray(printed, dtype=float), np.asarray(ours, dtype=float)
     i, j = np.triu_indices(len(p), 1)
     return bool(np.all(np.sign(p[i] - p[j]) * np.sign(o[i] - o[j]) >= 0)) and bool(
