@@ -74,3 +74,10 @@ def sine_cosine(x):
     a = c if odd else s
     b = s if odd else c
     return -a if quarter >= 2.0 else a, -b if (quarter == 1.0) | (quarter == 2.0) else b
+
+
+@spliced
+def wrapped(a):
+    """An angle brought into (-pi, pi]."""
+    a -= TURN * np.rint(a / TURN)
+    return a if a > -math.pi else math.pi

@@ -40,6 +40,8 @@ def kernel(
     def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         with _cache_folder() as cache:
             dispatcher = njit(cache=cache, nogil=True, **options)(function)
+        if config.DISABLE_JIT:
+            return function
         dispatcher.compile(signature)
         dispatcher.disable_compile()
         return dispatcher

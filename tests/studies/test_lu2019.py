@@ -17,6 +17,7 @@ import math
 from types import SimpleNamespace
 import numpy as np
 from aoabench.kernels import access_nodes as K
+from aoabench.kernels import square_root
 from aoabench.models.motion import ConstantAcceleration
 
 class Counted:
@@ -44,6 +45,7 @@ def counted(a):
 K.TILE = 1
 K.np = SimpleNamespace(empty=lambda shape: counted(np.zeros(shape)), zeros=lambda shape: counted(np.zeros(shape)), rint=np.rint)
 K.math = SimpleNamespace(sqrt=lambda x: Counted(math.sqrt(float(x))), isnan=lambda x: math.isnan(float(x)), inf=math.inf, nan=math.nan)
+square_root.math = K.math
 K.angle = lambda y, x, length: Counted(math.atan2(float(y), float(x)))
 K.wrapped = lambda a: a
 rng, (F, Q) = np.random.default_rng(0), ConstantAcceleration(0.1).matrices(0.1)

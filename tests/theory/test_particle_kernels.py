@@ -495,8 +495,8 @@ def test_the_kernels_number_measurement_models_as_the_filters_do():
     ("module", "kernels_"),
     [
         ("filters.particle", ("particle", "particle_likelihood", "philox", "single", "compile")),
-        ("filters.kalman", ("kalman",)),
-        ("filters.access_nodes", ("access_nodes",)),
+        ("filters.kalman", ("kalman", "square_root", "angles", "small", "compile")),
+        ("filters.access_nodes", ("access_nodes", "square_root", "angles", "compile")),
         ("estimators.maximum_likelihood", ("snapshot", "angles", "small", "compile")),
         ("estimators.discrepancy", ("discrepancy", "ellipses", "angles", "small", "compile")),
     ],

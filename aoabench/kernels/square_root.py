@@ -1,0 +1,207 @@
+"""Square roots of covariances: what the filters that carry one share, in double precision.
+
+The last axis of every array is `tile` replications, a constant of the kernel. A filter's array `w`
+holds, in rows that the caller names: the sums A (6) and g (3) of a step's measurements, A's lower
+half row by row and g after it; the lower factor L (6) of the position's covariance; T (9), z (3).
+"""
+
+from __future__ import annotations
+
+import math
+
+from aoabench.kernels.compile import inlined_ordered, spliced
+
+EPS = 2.0**-52
+LOST = 32.0 * EPS  # of a diagonal element: what is left of it is rounding
+
+
+@spliced
+def predict(tile, x, root, F, Q, P, FR, Fx):
+    """x = F x and the lower half of P = F root (F root)^T + Q, raised so that it has a factor.
+
+    The diagonal grows by more than the sums, and their Cholesky factor, lose in rounding.
+    """
+    n = len(x)
+    raised = 1.0 + 2.0 * n * n * EPS
+    for i in range(n):
+        for r in range(tile):
+            Fx[i, r] = 0.0
+        for j in range(n):
+            for r in range(tile):
+                FR[i, j, r] = 0.0
+        for l in range(n):
+            f = F[i, l]
+            if f != 0.0:
+                for r in range(tile):
+                    Fx[i, r] += f * x[l, r]
+                for j in range(max(l + 1, 3)):
+                    for r in range(tile):
+                        FR[i, j, r] += f * root[l, j, r]
+    for i in range(n):
+        for r in range(tile):
+            x[i, r] = Fx[i, r]
+        for j in range(i + 1):
+            for r in range(tile):
+                P[i, j, r] = Q[i, j]
+            for l in range(n):
+                for r in range(tile):
+                    P[i, j, r] += FR[i, l, r] * FR[j, l, r]
+        for r in range(tile):
+            P[i, i, r] *= raised
+
+
+@spliced
+def cholesky(tile, P, L):
+    """Lower factor of P into L; NaN where P is not positive definite."""
+    n = len(P)
+    for j in range(n):
+        for i in range(j, n):
+            for r in range(tile):
+                L[i, j, r] = P[i, j, r]
+            for l in range(j):
+                for r in range(tile):
+                    L[i, j, r] -= L[i, l, r] * L[j, l, r]
+        for r in range(tile):
+            L[j, j, r] = math.sqrt(L[j, j, r] if L[j, j, r] > 0.0 else math.nan)
+        for i in range(j + 1, n):
+            for r in range(tile):
+                L[i, j, r] /= L[j, j, r]
+
+
+@inlined_ordered
+def turned(h, M):
+    """M^T h with M (9,) row by row."""
+    return (
+        M[0] * h[0] + M[3] * h[1] + M[6] * h[2],
+        M[1] * h[0] + M[4] * h[1] + M[7] * h[2],
+        M[2] * h[0] + M[5] * h[1] + M[8] * h[2],
+    )
+
+
+@inlined_ordered
+def swapped(swap, a, b):
+    """(b, a) if `swap`, else (a, b)."""
+    return b if swap else a, a if swap else b
+
+
+@inlined_ordered
+def inverse_root(p, least):
+    """1 / sqrt(p); 0 where p is not above `least`."""
+    return 1.0 / math.sqrt(math.inf if p <= least else p)
+
+
+@inlined_ordered
+def back(first, second, third, c):
+    """c (3,) with the swaps undone."""
+    x, y, z = c
+    y, z = swapped(third, y, z)
+    x, z = swapped(second, x, z)
+    x, y = swapped(first, x, y)
+    return x, y, z
+
+
+@inlined_ordered
+def columns(w, a, r):
+    """c0, u0, c1, u1, c2, u2 with A = sum c c^T and g = sum u c: three scalar measurements, c (3,).
+
+    A Cholesky factor of A, the largest pivot first. A pivot that is lost in the rounding of A's
+    diagonal is no information: its column is 0.
+    """
+    a00, a10, a11 = w[a, r], w[a + 1, r], w[a + 2, r]
+    a20, a21, a22 = w[a + 3, r], w[a + 4, r], w[a + 5, r]
+    g0, g1, g2 = w[a + 6, r], w[a + 7, r], w[a + 8, r]
+    first = a11 > a00
+    a00, a11 = swapped(first, a00, a11)
+    a20, a21 = swapped(first, a20, a21)
+    g0, g1 = swapped(first, g0, g1)
+    second = a22 > a00
+    a00, a22 = swapped(second, a00, a22)
+    a10, a21 = swapped(second, a10, a21)
+    g0, g2 = swapped(second, g0, g2)
+    i = inverse_root(a00, 0.0)
+    x0, y0, z0, u0 = a00 * i, a10 * i, a20 * i, g0 * i
+    b11, b21, b22 = a11 - y0 * y0, a21 - y0 * z0, a22 - z0 * z0
+    g1, g2 = g1 - y0 * u0, g2 - z0 * u0
+    third = b22 > b11
+    a11, a22 = swapped(third, a11, a22)
+    b11, b22 = swapped(third, b11, b22)
+    y0, z0 = swapped(third, y0, z0)
+    g1, g2 = swapped(third, g1, g2)
+    i = inverse_root(b11, LOST * a11)
+    y1, z1, u1 = b11 * i, b21 * i, g1 * i
+    b22, g2 = b22 - z1 * z1, g2 - z1 * u1
+    i = inverse_root(b22, LOST * a22)
+    c0 = back(first, second, third, (x0, y0, z0))
+    c1 = back(first, second, third, (0.0, y1, z1))
+    c2 = back(first, second, third, (0.0, 0.0, b22 * i))
+    return c0, u0, c1, u1, c2, g2 * i
+
+
+@inlined_ordered
+def absorb(M, z, h, u):
+    """M and z after one more measurement u = h^T z + e, e ~ N(0, 1), in Potter's form.
+
+    z ~ N(z, M M^T), M (9,) row by row. With f = M^T h and s = 1 + f^T f, z += M f (u - h^T z) / s
+    and M -= M f f^T / (s + sqrt(s)), which shrinks M and never more than to 0.
+    """
+    f = turned(h, M)
+    s = 1.0 + f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
+    t = math.sqrt(s)
+    k = 1.0 / (s + t)
+    a = M[0] * f[0] + M[1] * f[1] + M[2] * f[2]
+    b = M[3] * f[0] + M[4] * f[1] + M[5] * f[2]
+    c = M[6] * f[0] + M[7] * f[1] + M[8] * f[2]
+    e = k * (1.0 + t)  # 1 / sqrt(s)
+    e *= e * (u - h[0] * z[0] - h[1] * z[1] - h[2] * z[2])
+    z = z[0] + a * e, z[1] + b * e, z[2] + c * e
+    a, b, c = k * a, k * b, k * c
+    row0 = M[0] - a * f[0], M[1] - a * f[1], M[2] - a * f[2]
+    row1 = M[3] - b * f[0], M[4] - b * f[1], M[5] - b * f[2]
+    row2 = M[6] - c * f[0], M[7] - c * f[1], M[8] - c * f[2]
+    return (*row0, *row1, *row2), z
+
+
+@spliced
+def update(tile, w, A, L, T, Z):
+    """T (3, 3) and z (3,): A and g turn x into x + L z and the factor L of P_pp into L T."""
+    for r in range(tile):
+        l00, l10, l11 = w[L, r], w[L + 1, r], w[L + 2, r]
+        l20, l21, l22 = w[L + 3, r], w[L + 4, r], w[L + 5, r]
+        c0, u0, c1, u1, c2, u2 = columns(w, A, r)
+        M, z = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+        h = l00 * c0[0] + l10 * c0[1] + l20 * c0[2], l11 * c0[1] + l21 * c0[2], l22 * c0[2]
+        M, z = absorb(M, z, h, u0)
+        h = l00 * c1[0] + l10 * c1[1] + l20 * c1[2], l11 * c1[1] + l21 * c1[2], l22 * c1[2]
+        M, z = absorb(M, z, h, u1)
+        h = l00 * c2[0] + l10 * c2[1] + l20 * c2[2], l11 * c2[1] + l21 * c2[2], l22 * c2[2]
+        M, z = absorb(M, z, h, u2)
+        w[T, r], w[T + 1, r], w[T + 2, r] = M[0], M[1], M[2]
+        w[T + 3, r], w[T + 4, r], w[T + 5, r] = M[3], M[4], M[5]
+        w[T + 6, r], w[T + 7, r], w[T + 8, r] = M[6], M[7], M[8]
+        w[Z, r], w[Z + 1, r], w[Z + 2, r] = z[0], z[1], z[2]
+
+
+@spliced
+def conclude(tile, x, root, w, T, Z):
+    """x += L_:p z and L_:p = L_:p T; the other columns of the factor stay."""
+    for i in range(len(x)):
+        for r in range(tile):
+            a = root[i, 0, r]
+            b, c = root[i, 1, r] if i > 0 else 0.0, root[i, 2, r] if i > 1 else 0.0
+            x[i, r] += a * w[Z, r] + b * w[Z + 1, r] + c * w[Z + 2, r]
+            root[i, 0, r] = a * w[T, r] + b * w[T + 3, r] + c * w[T + 6, r]
+            root[i, 1, r] = a * w[T + 1, r] + b * w[T + 4, r] + c * w[T + 7, r]
+            root[i, 2, r] = a * w[T + 2, r] + b * w[T + 5, r] + c * w[T + 8, r]
+
+
+@spliced
+def store(tile, x, root, start, k, means, covariances):
+    """Position and its covariance at step k; its diagonal raised, as in `predict`."""
+    for r in range(min(tile, len(means) - start)):
+        for p in range(3):
+            means[start + r, k, p] = x[p, r]
+            for q in range(p + 1):
+                c = root[p, 0, r] * root[q, 0, r] + root[p, 1, r] * root[q, 1, r]
+                c += root[p, 2, r] * root[q, 2, r]
+                covariances[start + r, k, p, q] = covariances[start + r, k, q, p] = c
+            covariances[start + r, k, p, p] *= 1.0 + 18.0 * EPS
