@@ -248,7 +248,7 @@ def test_a_worker_without_memory(tmp_path, monkeypatch):
     (tmp_path / "conf" / "estimator" / "hungry.yaml").write_text(
         "hungry: {_target_: my_hungry.Hungry}\n"
     )
-    words = ["estimator=[hungry]", "filter=[ekf_vmf]", "reps=400", "runner.chunk=128",
+    words = ["estimator=[hungry]", "filter=[ekf_vmf]", "reps=260", "runner.chunk=128",
              "--config-dir", "conf", "plugins=[my_hungry]"]  # fmt: skip
     assert Command(*words, "runner.n_jobs=1", "runner.out=undisturbed").finished()[0] == 0
     for how, jobs, match in (
