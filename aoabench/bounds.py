@@ -12,7 +12,7 @@ import numpy as np
 from aoabench.maths.geometry import Array, in_frames
 from aoabench.types import Anchors
 
-WHOLE = 1e-12  # an information matrix whose eigenvalues differ by more has no inverse to speak of
+WHOLE = 1e-12  # an information matrix is singular if its ratio of eigenvalues is not above this
 
 
 def azel_information(

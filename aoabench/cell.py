@@ -58,7 +58,7 @@ class Until:
 
 @dataclass(frozen=True)
 class RunnerOptions:
-    """Options of a run that do not change its results."""
+    """Options of a run that do not change the result of any replication."""
 
     out: str
     n_jobs: int = -1
