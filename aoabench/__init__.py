@@ -1,8 +1,8 @@
 """aoabench: the Monte Carlo simulation-and-benchmark framework for angle-of-arrival (AoA)
 positioning.
 
-`run` simulates, `load` reads what a run left, `compare` compares its estimators; everything else is
-imported from its module.
+`run` simulates, `load` reads the tables of a run, `compare` compares its estimators. Everything
+else is imported from its module.
 """
 
 from __future__ import annotations
@@ -47,14 +47,13 @@ def run(
     plugins: Sequence[str] = (),
     progress: bool = False,
 ) -> pd.DataFrame:
-    """Run one cell, or a sweep where overrides hold commas, and return the tidy frame of just that
-    (see `load`).
+    """Run one cell, or a sweep if an override holds commas, and return its tidy frame (see `load`).
 
     Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]",
     "noise.sigma_deg=2,5", "reps=200")`. `estimators` adds objects of your own by name: callables
-    (batch, scenario, streams) -> Estimates, which see the same draws as the presets. `out` is the
-    folder of the tables (runner.out). Raises UserError for a mistake in the input, RunError for
-    what stopped the run on its way.
+    (batch, scenario, streams) -> Estimates, which get the same draws as the presets. `out` is the
+    folder of the tables (runner.out). Raises UserError for a mistake in the input, and RunError
+    for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
     from aoabench.config.overrides import file_setting
@@ -70,8 +69,8 @@ def run(
 
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
-    """One row per cell x estimator x replication of the run in folder `out`, with a column per
-    swept parameter.
+    """Return the table of the run in folder `out`: one row per cell x estimator x replication, and
+    one column per swept parameter.
     """
     from aoabench.store import tables
 
@@ -83,8 +82,8 @@ def compare(
 ) -> pd.DataFrame:
     """Paired comparison of the estimators of the run in folder `run`, a row per cell and estimator.
 
-    Each row holds the change against `baseline` (none: the smallest mean of each cell) with its
-    interval, the p-value by Holm's method over the table, and the line that says it. See
+    Each row holds the change against `baseline` (None: the estimator with the smallest mean in each
+    cell) with its interval, the p-value by Holm's method over the table, and a summary line. See
     `store.compare.compare` for the columns.
     """
     from aoabench.store import compare as compare_module

@@ -1,5 +1,4 @@
-"""What the measurements allow: Fisher information, Cramér-Rao bound, geometric dilution of
-precision.
+"""Limits of accuracy: Fisher information, Cramér-Rao bound, geometric dilution of precision.
 
 All functions take points (..., 3) m and anchors (1, 1, B, ...), and broadcast.
 """
@@ -13,7 +12,7 @@ import numpy as np
 from aoabench.maths.geometry import Array, in_frames
 from aoabench.types import Anchors
 
-WHOLE = 1e-12  # an information matrix whose eigenvalues differ by more has no inverse to speak of
+WHOLE = 1e-12  # an information matrix is singular if its ratio of eigenvalues is not above this
 
 
 def azel_information(
@@ -22,8 +21,8 @@ def azel_information(
     """Fisher information (..., 3, 3) 1/m^2 of independent normal azimuths and elevations, G^T C^-1
     G [Le 2021, (30)].
 
-    Deviations in rad, (B,) or one for all. The azimuth's part is infinite at an anchor's pole, and
-    NaN on the anchor.
+    The deviations in rad are arrays (B,) or one number for all anchors. The azimuth's part is
+    infinite at an anchor's pole, and NaN at the anchor itself.
     """
     p = np.asarray(point, dtype=float)
     local = np.stack(in_frames(p.reshape(1, -1, 3), *anchors.frames), axis=-1)[0]  # (N, B, 3)
@@ -44,8 +43,8 @@ def direction_information(point: Array, anchors: Anchors, kappa: float | Array) 
     """Fisher information (..., 3, 3) 1/m^2 of von Mises-Fisher directions: sum of A kappa (I - d
     d^T) / r^2.
 
-    A = coth(kappa) - 1 / kappa is the mean resultant length, kappa (B,) or one for all. No
-    direction is singular.
+    A = coth(kappa) - 1 / kappa is the mean resultant length; kappa is an array (B,) or one number
+    for all anchors. No direction is singular.
     """
     p = np.asarray(point, dtype=float)
     offset = p[..., None, :] - anchors.position[0, 0]
@@ -59,8 +58,8 @@ def direction_information(point: Array, anchors: Anchors, kappa: float | Array) 
 
 
 def crb(information: Array) -> Array:
-    """Lower bound (..., n, n) m^2 of any unbiased estimator's covariance; NaN where the information
-    is singular.
+    """Lower bound (..., n, n) m^2 on the covariance of unbiased estimators; NaN where the
+    information is singular.
     """
     J = np.asarray(information, dtype=float)
     whole = np.isfinite(J).all((-1, -2))
@@ -78,7 +77,7 @@ def gdop(
     """Position error (...) in m per rad of equal angular deviations: sqrt(tr CRB) at sigma = 1 rad
     over these axes.
 
-    With `known_z` the third row and column of the information are left out [Boquet 2024, (28) and
+    With `known_z`, the third row and column of the information are left out [Boquet 2024, (28) and
     A.1]; the axes are then x and y.
     """
     information = azel_information(point, anchors, 1.0, 1.0)

@@ -1,4 +1,4 @@
-"""A cell of an experiment, and how to run it."""
+"""A cell of an experiment, and the options of its run."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from aoabench.roles import Estimator, Noise, Scenario
 
 @dataclass(frozen=True)
 class Until:
-    """Replications until the mean of `metric` is known to a standard error: `se` in its unit, or
-    relative to the mean.
+    """Stop when the standard error of the mean of `metric` is small enough: `se` in the metric's
+    unit, or relative to the mean.
 
-    Looked at when all of the first min_reps, 1.25 min_reps, 1.25^2 min_reps ... max_reps are there,
-    so that the outcome depends on the replications alone. Both errors have to be reached where both
-    are given.
+    The standard error is checked after the first min_reps, 1.25 min_reps, 1.25^2 min_reps ...
+    max_reps replications are complete, so that the outcome depends on the replications alone. If
+    both limits are given, the run stops when both are reached.
     """
 
     metric: str
@@ -49,7 +49,7 @@ class Until:
 
     @property
     def counts(self) -> list[int]:
-        """The numbers of replications at which to look, increasing; the last one is max_reps."""
+        """Numbers of replications after which to check, increasing; the last one is max_reps."""
         found = [self.min_reps]
         while found[-1] < self.max_reps:
             found.append(min(math.ceil(1.25 * found[-1]), self.max_reps))
@@ -58,7 +58,7 @@ class Until:
 
 @dataclass(frozen=True)
 class RunnerOptions:
-    """How to run: never part of what is computed."""
+    """Options of a run that do not change the result of any replication."""
 
     out: str
     n_jobs: int = -1
@@ -99,9 +99,7 @@ def _is_address(value: object) -> bool:
 
 @dataclass(frozen=True)
 class Cell:
-    """One scenario with one noise and the estimators to compare: objects, and the plain config they
-    came from.
-    """
+    """One scenario, one noise and the estimators to compare, as objects and as the plain config."""
 
     scenario_name: str
     noise_name: str
@@ -117,12 +115,12 @@ class Cell:
     swept: tuple[str, ...] = ()  # dotted parameters that the command line sets
     experiment: str | None = None
     plugins: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()  # lines for whoever asked for it
+    notes: tuple[str, ...] = ()  # lines to print for the user
 
     @property
     def id(self) -> str:
-        """Short name of the cell: scenario, noise, seed and changed parameters decide it;
-        estimators join in.
+        """Short name of the cell, from scenario, noise, seed and changed parameters; further
+        estimators of the same cell share it.
         """
         parts = [described(self.scenario), described(self.noise), self.seed]
         return digest([*parts, self.scenario_name, self.noise_name, dict(self.changed)])[:12]

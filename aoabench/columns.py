@@ -67,7 +67,7 @@ FIXES = {
 PART_FAILURES = {"replication": "int64", "error": "string", "lost": "bool"}
 
 
-# what a part may consist of; rows are always there, failures where an estimator raised or gave NaN
+# tables of a part: rows always; failures only where an estimator raised or gave NaN
 KINDS = {"rows": REPLICATIONS, "steps": STEPS, "fixes": FIXES, "failures": PART_FAILURES}
 
 

@@ -1,4 +1,4 @@
-"""The exceptions that users see, and checks of parameters that raise them."""
+"""Exceptions for users, and the parameter checks that raise them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from aoabench.maths.geometry import Array
 
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """'; did you mean X?' for a misspelt word, or nothing; `cutoff`: how alike they must be."""
+    """'; did you mean X?' for a misspelt word, else ''; `cutoff` is the least similarity (0..1)."""
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def shorten(text: str, most: int = 200) -> str:
-    """`text`, with ` ... ` for its middle where it has more than `most` characters."""
+    """Return `text`, with ` ... ` in place of its middle if it has more than `most` characters."""
     if len(text) <= most:
         return text
     half = (most - 5) // 2
@@ -29,11 +29,13 @@ def shorten(text: str, most: int = 200) -> str:
 
 
 class UserError(Exception):
-    """A mistake that only the user can mend: one clear line, exit status 2."""
+    """A mistake in the input that the user can correct: one clear line, exit status 2."""
 
 
 class RunError(Exception):
-    """What stopped a run and no check of its input could foresee: one clear line, exit status 1."""
+    """An error that stops a run and that no check of the input can find: one clear line, exit
+    status 1.
+    """
 
 
 class BadValue(UserError, ValueError):
@@ -48,7 +50,9 @@ class BadValue(UserError, ValueError):
 
 
 class Unfit(UserError):
-    """An estimator does not fit: the `group` to choose another preset of, and what is `allowed`."""
+    """An estimator does not fit; the message names the config `group` to change and the presets
+    `allowed`.
+    """
 
     def __init__(self, group: str, allowed: str) -> None:
         self.group, self.allowed = group, allowed
@@ -68,8 +72,8 @@ def check_number(
     integer: bool = False,
     optional: bool = False,
 ) -> None:
-    """Raise BadValue unless `value` is a finite number in (above, most] and [least, most] (or None
-    if optional).
+    """Raise BadValue unless `value` is a finite number in (above, most] and [least, most], or None
+    if `optional`.
     """
     allowed = "an integer" if integer else "a number"
     allowed += _limits(above, least, most) + (", or null" if optional else "")
@@ -84,7 +88,7 @@ def check_number(
 
 
 def _limits(above: float, least: float, most: float) -> str:
-    """' > 0 and <= 5', or nothing where there are no limits."""
+    """The limits as text, such as ' > 0 and <= 5'; '' without limits."""
     limits = [f"> {above:g}"] if above > -math.inf else []
     limits += [f">= {least:g}"] if least > -math.inf else []
     limits += [f"<= {most:g}"] if most < math.inf else []
@@ -98,7 +102,7 @@ def check_choice(key: str, value: object, choices: Sequence[str]) -> None:
 
 
 def check_text(key: str, value: object) -> None:
-    """Raise BadValue unless `value` is a text that is not empty."""
+    """Raise BadValue unless `value` is a non-empty string."""
     if not isinstance(value, str) or not value.strip():
         raise BadValue(key, value, "a text")
 
@@ -118,8 +122,10 @@ def check_array(
     least: float = -math.inf,
     most: float = math.inf,
 ) -> Array:
-    """`value` as a float array of `shape` (None: any length >= 1), each of whose numbers is finite
-    and lies in (above, most] and [least, most]; else raise BadValue.
+    """Return `value` as a float array of `shape` (None: any length >= 1).
+
+    Raises BadValue for another shape, and for a number that is not finite or not in (above, most]
+    and [least, most].
     """
     wanted = " x ".join("N" if s is None else str(s) for s in shape) + " finite numbers"
     wanted += _limits(above, least, most)

@@ -33,13 +33,13 @@ _LISTS = {"str": "texts", "int": "integers", "float": "numbers", "bool": "true a
 
 @dataclass(frozen=True)
 class Param:
-    """What a parameter means, and which of the values that its annotation names are allowed.
+    """The meaning of a parameter and its limits within its type annotation.
 
-    help, unit: the meaning. above, least, most: a number lies in (above, most] and [least, most],
-    and so does each number of an array or a list. choices: the texts that are allowed, alone or in
-    a list. shape: of an array of numbers, None for any length >= 1. kind: the class of an object.
-    also: values that are allowed whatever the rest says. allowed: what messages say is allowed,
-    where the words made from all this do not do.
+    help, unit: the meaning. above, least, most: a number, or each number of an array or a list,
+    lies in (above, most] and [least, most]. choices: the strings that are allowed, alone or in a
+    list. shape: the shape of an array of numbers, None for any length >= 1. kind: the class of an
+    object. also: further values that are allowed without these checks. allowed: the text of error
+    messages, in place of the one made from these fields.
     """
 
     help: str
@@ -54,7 +54,7 @@ class Param:
     allowed: str = ""
 
     def check(self, key: str, value: object, annotation: str) -> None:
-        """Raise BadValue unless `value` fits; `annotation` is that of the field: int | None, ..."""
+        """Raise BadValue unless `value` fits; `annotation` is the field's, such as int | None."""
         optional = "None" in annotation.split(" | ") and annotation != "None"
         if value is None and optional:
             return
@@ -68,7 +68,7 @@ class Param:
             raise BadValue(key, error.value, words) from None
 
     def check_of(self, annotation: str) -> Check:
-        """The check of values other than null; TypeError for an annotation that has none."""
+        """The check for values other than null; raises TypeError for an unknown annotation."""
         kinds = [kind for kind in annotation.split(" | ") if kind != "None"] or ["None"]
         first = kinds[0]
         limits: dict[str, Any] = {"above": self.above, "least": self.least, "most": self.most}
@@ -123,18 +123,20 @@ def param(  # noqa: PLR0913 - a limit each
     also: tuple[object, ...] = (),
     allowed: str = "",
 ) -> Any:
-    """A dataclass field with its meaning and its limits (see Param); without `default` it must be
-    given. A class with such fields derives from CheckedParams, as the roles do.
+    """Return a dataclass field with its meaning and limits (see Param); required without `default`.
+
+    A class with such fields derives from CheckedParams, as the roles do.
     """
     known = Param(help, unit, above, least, most, tuple(choices), shape, kind, also, allowed)
     return field(default=default, metadata={"param": known})
 
 
 class CheckedParams:
-    """Checks the fields made by `param`: BadValue when an object is built of values that do not
-    fit, TypeError when a class is defined with a type of field that has no check.
+    """Check the fields made by `param`.
 
-    A class with checks of its own calls super().__post_init__() first.
+    Raises BadValue when an object is built with a value that does not fit, and TypeError when a
+    class is defined with an annotation that has no check. A class with checks of its own calls
+    super().__post_init__() first.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -151,6 +153,6 @@ class CheckedParams:
 
 
 def _annotation(kind: object) -> str:
-    """The annotation as it is written in the source: Sequence[float] | None, ..."""
+    """The annotation as written in the source, such as Sequence[float] | None."""
     text = kind if isinstance(kind, str) else inspect.formatannotation(kind)
     return re.sub(r"[\w.]+\.", "", text)

@@ -9,7 +9,7 @@ from typing import Any
 
 
 def shipped(folder: str) -> Path:
-    """Where `configs` or `experiments` lie: inside the installed package, or beside it in a
+    """Path of `configs` or `experiments`: inside the installed package, or beside it in a
     checkout.
     """
     package = Path(__file__).resolve().parent
@@ -19,8 +19,8 @@ def shipped(folder: str) -> Path:
 
 @functools.cache
 def printed(study: str) -> dict[str, Any]:
-    """Numbers that a study's paper prints, by their ids in printed.yaml; None for what it does not
-    print.
+    """Numbers printed in a study's paper, by their ids in printed.yaml; None for a number that the
+    paper does not print.
     """
     import yaml
 
@@ -31,7 +31,7 @@ def printed(study: str) -> dict[str, Any]:
 
 @functools.cache
 def version(name: str) -> str | None:
-    """Version of an installed library; None if it is not there."""
+    """Version of an installed library; None if it is not installed."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

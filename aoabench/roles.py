@@ -1,8 +1,8 @@
-"""Roles that plug-ins play: scenario, noise, motion model, measurement model, estimator, filter.
+"""Roles of plug-ins: scenario, noise, motion model, measurement model, estimator, filter.
 
-Each role is a plain base class. What a plug-in may leave out is an attribute or a method with a
-default here, so that a type checker sees it. The base classes are no dataclasses: the fields of a
-plug-in are its own.
+Each role is a plain base class. Optional attributes and methods have a default in the base class,
+so that a type checker sees them. The base classes are not dataclasses: each plug-in declares its
+own fields.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from aoabench.params import CheckedParams
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Measurements
 
-# what an estimator may need: the group that offers it, and in words
+# needs of estimators: the config group that offers each, and its description
 NEEDS = {
     "motion": ("scenario", "one with a motion model"),
     "prior": ("scenario", "one with a prior"),
@@ -44,11 +44,11 @@ class Motion(CheckedParams):
 
 
 class Scenario(CheckedParams):
-    """Where the anchors are and how the target moves.
+    """Positions of the anchors and movement of the target.
 
-    name: keys the random streams. dt: s from step to step. motion: what filters believe of the
-    target's way, None where fixes stand alone. shares_positions: all replications have the same
-    true positions. replications: how many there are, None for any number.
+    name: key of the random streams. dt: time step in s. motion: the motion model of the filters,
+    None where each fix is independent. shares_positions: whether all replications have the same
+    true positions. replications: number of replications, None for any number.
     """
 
     name: str
@@ -59,37 +59,37 @@ class Scenario(CheckedParams):
 
     @property
     def true_anchors(self) -> Anchors:
-        """The anchors as they are."""
+        """The true anchors (1, T|1, B, ...)."""
         raise NotImplementedError
 
     @property
     def recorded(self) -> Measurements | None:
-        """Measurements (T, B) that take the place of the noise's."""
+        """Recorded measurements (T, B) that replace those of the noise, or None."""
         return None
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that the scenario was read from; results are keyed on their content."""
+        """Files that the scenario was read from; their content is part of the key of results."""
         return ()
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Lines for whoever runs the scenario."""
+        """Lines to print when the scenario is run."""
         return ()
 
     @property
     def bounds_m(self) -> ArrayLike | None:
-        """Lower and upper corner (2, 2) m, in x and y, of where the target can be."""
+        """Lower and upper corner (2, 2) m, in x and y, of the target's area, or None."""
         return None
 
     @property
     def known_height_m(self) -> float | None:
-        """The one height z in m that the target is known to have."""
+        """The known constant height z of the target in m, or None."""
         return None
 
     @property
     def wall_segments(self) -> Array | None:
-        """Walls (W, 2, 2) m seen from above."""
+        """Walls (W, 2, 2) m seen from above, or None."""
         return None
 
     def truth(self, rng: np.random.Generator) -> Array:
@@ -97,11 +97,11 @@ class Scenario(CheckedParams):
         raise NotImplementedError
 
     def prior(self, rng: np.random.Generator, truth: Array) -> tuple[Array, Array] | None:
-        """Mean (n,) and covariance (n, n) that filters start from; None where fixes stand alone."""
+        """Mean (n,) and covariance (n, n) at a filter's start; None if fixes are independent."""
         return None
 
     def hears(self, points: Array) -> np.ndarray | None:
-        """Which anchors measure a target at points (T, 3) m, (T, B); None: all of them."""
+        """Mask (T, B) of the anchors that measure a target at points (T, 3) m; None for all."""
         return None
 
     def day_of(self, steps: int) -> np.ndarray:
@@ -113,7 +113,7 @@ class Scenario(CheckedParams):
         return self.dt * np.arange(1.0, steps + 1)
 
     def offers(self) -> frozenset[str]:
-        """What the scenario has of the things that estimators may need (see NEEDS)."""
+        """Names of the NEEDS of estimators that the scenario offers."""
         found = {"motion", "prior"} if self.motion is not None else set()
         found |= {"height"} if self.known_height_m is not None else set()
         found |= {"several_anchors"} if self.true_anchors.count > 1 else set()
@@ -125,9 +125,11 @@ class Scenario(CheckedParams):
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is known of an angular noise: `sigma` rad, its nominal deviation; `fitted` returns the
-    deviations (azimuth, elevation) rad that fit it best over uniform directions; `printed_fit_deg`
-    are those that a paper prints for sigma = 10 deg.
+    """Known deviations of an angular noise.
+
+    `sigma` is the nominal deviation in rad; `fitted` returns the deviations (azimuth, elevation) in
+    rad that fit best over uniform directions; `printed_fit_deg` holds those that a paper prints for
+    sigma = 10 deg.
     """
 
     sigma: float
@@ -136,16 +138,16 @@ class Calibration:
 
 
 class Noise(CheckedParams):
-    """How true geometry becomes measurements."""
+    """Measurements from the true geometry."""
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that the noise was read from; results are keyed on their content."""
+        """Files that the noise was read from; their content is part of the key of results."""
         return ()
 
     @property
     def calibration(self) -> Calibration | None:
-        """What azimuth-elevation filters may know of the noise."""
+        """Deviations of the noise that azimuth-elevation filters may use, or None."""
         return None
 
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
@@ -161,17 +163,16 @@ class Noise(CheckedParams):
         return None
 
     def offers(self) -> frozenset[str] | None:
-        """What it measures of the things that estimators may need (see NEEDS); None: not stated."""
+        """Names of the NEEDS of estimators that the noise measures; None: not stated."""
         return None
 
 
 class Measurement(CheckedParams):
-    """What a filter believes of the measurements; written for one point, broadcasting over leading
-    axes.
+    """A filter's model of the measurements; written for one point, broadcasting over leading axes.
 
-    x (R, ..., n); m = B d components in anchor order; anchors are those of one step. `quality`
-    (R, m) are the nominal variances of one step. `kernel` names the compiled likelihood and
-    derivatives that equal the methods of the class itself; a subclass does not inherit it.
+    x (R, ..., n) are states; m = B d components in anchor order; `anchors` are those of one step.
+    `quality` (R, m) are the nominal variances of one step. `kernel` names the compiled likelihood
+    and derivatives that equal the methods of the class itself; a subclass does not inherit it.
     """
 
     kernel: str | None = None
@@ -213,13 +214,11 @@ class Measurement(CheckedParams):
 
 
 class Estimator(CheckedParams):
-    """Positions from measurements: the one plug that recursive filters and snapshot estimators
-    share.
+    """Positions from measurements: the common role of recursive filters and snapshot estimators.
 
-    tile: how many replications it takes at once, always exactly that many; None: the largest power
-    of two up to 128 for which an array (R, T, B) has at most 2^20 elements. An estimator that needs
-    `truth` is defined by the truth and no method for a device: it is called with the true states
-    (R, T, n) as a fourth argument.
+    tile: exact number of replications per call; None: the largest power of two up to 128 for which
+    an array (R, T, B) has at most 2^20 elements. An estimator that needs `truth` is called with the
+    true states (R, T, n) as a fourth argument; a device cannot run it.
     """
 
     tile: int | None = None
@@ -230,27 +229,27 @@ class Estimator(CheckedParams):
         return frozenset()
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """Positions (R, T, 3) m, and what became of each fix."""
+        """Positions (R, T, 3) m and outcomes (R, T) of the fixes."""
         raise NotImplementedError
 
     @property
     def label(self) -> str:
-        """What messages call it."""
+        """Name of the estimator in messages."""
         return type(self).__name__
 
     def check(self, scenario: Scenario, noise: Noise) -> None:
-        """Raise Unfit where scenario and noise do not offer what it needs."""
+        """Raise Unfit if scenario and noise do not offer all `needs`."""
         offered = noise.offers()
-        if offered is None:  # a noise that does not say what it measures
+        if offered is None:  # a noise that does not state its offers
             offered = frozenset(need for need, (group, _) in NEEDS.items() if group == "noise")
         for need in sorted(self.needs - scenario.offers() - offered):
             raise Unfit(*NEEDS[need])
 
     def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile or load what is needed, once, before others work in parallel."""
+        """Compile or load the kernels, once, before the workers start; `say` prints a line."""
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
-        """Columns (R, T) that a replay shows beyond the estimates."""
+        """Columns (R, T) that a replay shows in addition to the estimates."""
         return {}
 
 
@@ -269,7 +268,7 @@ class PlainEstimator(Estimator):
 
 
 class Filter(Estimator):
-    """A recursive estimator: believes a measurement model and the scenario's motion and prior."""
+    """A recursive estimator with a measurement model and the scenario's motion model and prior."""
 
     measurement: Measurement
 
@@ -279,7 +278,7 @@ class Filter(Estimator):
 
 
 class Belief(NamedTuple):
-    """What a filter believes before the first step, and of each step."""
+    """Prior of a filter before the first step, and its motion model x_k = F x_{k-1} + N(0, Q)."""
 
     mean: Array  # (R, n)
     covariance: Array  # (n, n)
@@ -288,7 +287,9 @@ class Belief(NamedTuple):
 
 
 def believed(batch: Batch, scenario: Scenario) -> Belief:
-    """The prior of the batch and the motion of the scenario; BadValue where one is missing."""
+    """Return the prior of the batch and the motion of the scenario; raises BadValue if one is
+    missing.
+    """
     if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
         raise BadValue("scenario", type(scenario).__name__, "one with a motion model and a prior")
     return Belief(batch.prior_mean, batch.prior_cov, *scenario.motion.matrices(scenario.dt))

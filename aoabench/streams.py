@@ -1,8 +1,8 @@
 """Random streams, one for each (root seed, scenario name, replication, role).
 
-No stream knows the estimator, the worker or the task, so every estimator and every job of a sweep
-sees the same draws (paired comparisons), replications can be added later, and one replication can
-be repeated by its number.
+No stream depends on the estimator, the worker or the task. So every estimator and every job of a
+sweep gets the same draws (paired comparisons), replications can be added later, and one replication
+can be repeated by its number.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def _words(name: str) -> tuple[int, ...]:
 def generator(
     seed: int, scenario: str, replication: int, role: int, purpose: int = 0
 ) -> np.random.Generator:
-    """The generator of one role in one replication.
+    """Return the generator of one role in one replication.
 
     `seed >= 0` is the root seed, `scenario` the scenario's name, `replication >= 0` its number.
     Equal arguments give equal draws; streams with any differing argument are independent.
@@ -48,7 +48,7 @@ def philox_key(seed: int, scenario: str, role: int, purpose: int) -> tuple[int, 
 
 @dataclass(frozen=True)
 class Streams:
-    """The estimators' own randomness for a tile of replications, numbered `replications`."""
+    """Random streams of the estimators for a tile of replications, numbered `replications`."""
 
     seed: int
     scenario: str
@@ -59,7 +59,7 @@ class Streams:
         return generator(self.seed, self.scenario, self.replications[i], ESTIMATOR, purpose)
 
     def philox_key(self, purpose: int = PARTICLES) -> tuple[int, int]:
-        """Two words of 32 bits for draws by counter; the replication's number belongs into the
-        counter.
+        """Key (two 32-bit words) of a counter-based generator; the counter has to contain the
+        replication's number.
         """
         return philox_key(self.seed, self.scenario, ESTIMATOR, purpose)

@@ -1,4 +1,4 @@
-"""The data that everything shares: anchors, batches, estimates.
+"""Data types of all modules: anchors, measurements, batches, estimates.
 
 Axes: R replications, T steps (or points), B anchors, n state dimensions, m = B x d measurement
 components. SI units and radians unless a name says otherwise. NaN means "not measured".
@@ -15,7 +15,7 @@ from aoabench.maths.geometry import Array
 
 
 class Outcome(IntEnum):
-    """What became of one fix; a replication's outcome is the worst (largest) of its fixes."""
+    """Outcome of one fix; a replication's outcome is the worst (largest) of its fixes."""
 
     OK = 0
     REJECTED = 1  # the method declined to give a position
@@ -60,7 +60,7 @@ class Anchors:
 
     @property
     def moving(self) -> bool:
-        """Whether something may differ from step to step (T > 1)."""
+        """Whether a field has more than one step (T > 1)."""
         return any(array.shape[1] > 1 for array in self.arrays.values())
 
     @property
@@ -95,10 +95,10 @@ class Anchors:
 
 @dataclass(frozen=True)
 class Measurements:
-    """What a noise model makes of one replication; every array (T, B) or None, NaN = not measured.
+    """Measurements of one replication; every array (T, B) or None, NaN = not measured.
 
-    azimuth in (-pi, pi] and elevation rad in the anchor's frame, delay s, rssi dBm; the sigmas are
-    the qualities that the device itself would state (rad, s).
+    azimuth in (-pi, pi] and elevation in rad in the anchor's frame, delay in s, rssi in dBm; the
+    sigmas are the standard deviations that the device itself states, in rad and s.
     """
 
     azimuth: Array
@@ -110,7 +110,7 @@ class Measurements:
     delay_sigma: Array | None = None
 
     def offers(self) -> frozenset[str]:
-        """What is measured of the things that estimators may need (see roles.NEEDS)."""
+        """Names of the needs of estimators (roles.NEEDS) that are measured."""
         found = {"elevation"} if np.isfinite(self.elevation).any() else set()
         found |= {name for name in ("delay", "rssi") if getattr(self, name) is not None}
         return frozenset(found | ({"stated_sigma"} if self.azimuth_sigma is not None else set()))
@@ -118,14 +118,13 @@ class Measurements:
 
 @dataclass(frozen=True)
 class Batch:
-    """What an estimator gets: the measurements of a tile of replications, each array (R, T, B) or
-    None.
+    """Input of an estimator: measurements of a tile of replications, each array (R, T, B) or None.
 
-    anchors: the anchors as they are known, in the order of the last axis; anchor_id (R|1, T|1, B)
-    their numbers in the scenario, from 0, -1 where a place is empty; None stands for 0, 1, ... B-1.
-    time (R|1, T) s; None stands for steps of the scenario's dt. prior_mean (R, n) and prior_cov
-    (n, n) describe the state before the first step (None for snapshot scenarios). The truth is not
-    in here.
+    anchors: the anchors as known to the estimator, in the order of the last axis; anchor_id
+    (R|1, T|1, B): their numbers in the scenario, from 0, -1 for an empty place, None for 0, 1, ...
+    B-1. time (R|1, T) s; None for steps of the scenario's dt. prior_mean (R, n) and prior_cov
+    (n, n) describe the state before the first step (None for snapshot scenarios). A batch does not
+    contain the truth.
     """
 
     azimuth: Array
@@ -157,12 +156,12 @@ class Batch:
 
 @dataclass(frozen=True)
 class Estimates:
-    """position (R, T, 3) m, covariance (R, T, 3, 3) m^2 | None, iterations (R, T) | None, outcome
-    (R, T) of Outcome.
+    """Output of an estimator for a tile of replications.
 
-    z is NaN where a method works in the plane alone. score (R, T): how badly the measurements of a
-    fix agree, the larger the worse, in a unit of the method's own, NaN = cannot tell; anchors_used
-    (R, T): how many it rests on.
+    position (R, T, 3) m, with z NaN for a method in the plane; covariance (R, T, 3, 3) m^2 or None;
+    iterations (R, T) or None; outcome (R, T) of Outcome. score (R, T): disagreement of the
+    measurements of a fix in the method's own unit, larger is worse, NaN = unknown; anchors_used
+    (R, T): number of anchors that the fix uses.
     """
 
     position: Array

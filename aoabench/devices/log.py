@@ -1,8 +1,8 @@
-"""The columns of a log as fixes, angles and true positions in our conventions.
+"""Fixes, angles and true positions in aoabench's conventions, from the columns of a log.
 
-A row is what one anchor measured, or what the mobile measured of one anchor. Conventions are
-declared, never guessed; they are turned into ours (counter-clockwise azimuth from the anchor's +x,
-elevation up from its xy-plane):
+A row holds the measurements by one anchor, or those by the mobile of one anchor. The conventions of
+a log are declared, never guessed. Angles are converted to azimuth counter-clockwise from the
+anchor's +x and elevation up from its xy-plane:
 
     azimuth = zero +- value                      elevation = value, -value or 90 deg - value
     by the mobile: heading + azimuth + 180 deg   -elevation          both in global axes
@@ -23,14 +23,12 @@ from aoabench.types import Measurements
 
 TURN = {"deg": 360.0, "rad": 2 * np.pi}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-SAME_M = 1e-6  # rows of one fix whose true positions differ by less agree
-SIGMAS = ("error", "absent", "absolute")  # what a negative deviation means
+SAME_M = 1e-6  # m; true positions of one fix that differ by less are taken as equal
+SIGMAS = ("error", "absent", "absolute")  # treatments of a negative deviation
 
 
 class Log(NamedTuple):
-    """A file's content: true positions (T, 3) m, measurements (T, B) and lines about what was
-    found.
-    """
+    """A file's content: true positions (T, 3) m, measurements (T, B) and remarks to print."""
 
     truth: Array
     measured: Measurements
@@ -38,7 +36,7 @@ class Log(NamedTuple):
 
 
 class Conventions(NamedTuple):
-    """How a log's angles are to be read: the parameters of these names of a recorded scenario."""
+    """Conventions of a log's angles: the parameters of the same names of a recorded scenario."""
 
     azimuth_unit: str
     azimuth_sense: str
@@ -53,7 +51,7 @@ class Conventions(NamedTuple):
 
     @property
     def needs_heading(self) -> bool:
-        """Whether the log has to have the mobile's heading."""
+        """Whether the log must contain the mobile's heading."""
         return (self.measured_by, self.frame, self.heading_deg) == ("mobile", "own", None)
 
     @property
@@ -65,9 +63,11 @@ class Conventions(NamedTuple):
 def chosen_columns(
     path: str, named: Mapping[str, str | None], defaults: Mapping[str, str], required: set[str]
 ) -> dict[str, str]:
-    """Our names -> the file's, of the columns to read: those that `named` says, elsewhere the
-    default names, as far as the file has them. BadValue where it lacks one that is named or
-    required; a fix or a time is always required, x and y where one of x, y, z is there.
+    """Map aoabench's column names to the file's, for the columns to read.
+
+    A column has its name in `named`, else its default name if the file has that. Raises BadValue
+    if a named or required column is missing. A fix or a time is always required; x and y are
+    required if one of x, y, z is read.
     """
     there = header("path", path)
     chosen = {
@@ -75,7 +75,7 @@ def chosen_columns(
         for ours, name in named.items()
     }
     if chosen["fix"] is not None:
-        chosen["time"] = None  # clocks need not compare then, nor be complete
+        chosen["time"] = None  # numbered fixes need neither comparable nor complete times
     required = required | ({"time"} if chosen["fix"] is None else set())
     required |= {"x", "y"} if any(chosen[axis] for axis in "xyz") else set()
     for ours, name in chosen.items():
@@ -89,7 +89,7 @@ def chosen_columns(
 def _no_column(
     ours: str, name: str | None, wanted: str, path: str, there: Sequence[str]
 ) -> BadValue:
-    """The error for our column `ours`, whose name `wanted` the file lacks or has twice."""
+    """The error for the column `ours`, whose name `wanted` is missing or twice in the file."""
     default = f", by default called {wanted}," if name is None else ""
     allowed = f"a column{default} of {path}, which has {', '.join(there)}"
     if wanted in there:
@@ -104,8 +104,10 @@ def _no_column(
 def known_anchors(
     table: Table, ids: Sequence[str], strict: bool
 ) -> tuple[Table, np.ndarray, list[str]]:
-    """The rows of the anchors `ids`, the number (N,) of each row's anchor, and lines about the rows
-    that are left out. BadValue for a row of another anchor if `strict`, and where no row is left.
+    """Return the rows of the anchors `ids`, the number (N,) of each row's anchor, and remarks on
+    the rows left out.
+
+    Raises BadValue for a row of another anchor if `strict`, and if no row is left.
     """
     anchor = table.indices("anchor", ids, strict=strict)
     strangers = int((anchor < 0).sum())
@@ -118,10 +120,10 @@ def known_anchors(
 
 
 def fixes(table: Table, time_unit: str, window_s: float) -> tuple[np.ndarray, int]:
-    """The number (N,) of the fix that each row belongs to, and how many fixes there are.
+    """Return the number (N,) of each row's fix, and the number of fixes.
 
-    Fixes are in order of their times, or of their first appearance where the table numbers them.
-    Rows up to `window_s` later than the first of a fix belong to it.
+    Fixes are in order of their times, or of their first appearance if the table numbers them. A
+    row up to `window_s` after the first row of a fix belongs to that fix.
     """
     if "fix" in table.names:
         code, ids = table.texts("fix")
@@ -138,8 +140,10 @@ def fixes(table: Table, time_unit: str, window_s: float) -> tuple[np.ndarray, in
 
 
 def angles(table: Table, given: Conventions) -> dict[str, Array]:
-    """Azimuth and elevation (N,) rad in our conventions, NaN where not measured, and those of their
-    deviations (N,) rad that the table has. Raises BadValue for a row that breaks the conventions.
+    """Return azimuth and elevation (N,) rad in aoabench's conventions, NaN where not measured, and
+    their deviations (N,) rad if the table has them.
+
+    Raises BadValue for a row that breaks the declared conventions.
     """
     found = {"azimuth": _azimuth(table, given), "elevation": _elevation(table, given)}
     if given.measured_by == "mobile":
@@ -166,7 +170,7 @@ def angles(table: Table, given: Conventions) -> dict[str, Array]:
 
 
 def _azimuth(table: Table, given: Conventions) -> Array:
-    """Azimuths (N,) rad, counter-clockwise; those measured by the mobile in its own frame."""
+    """Azimuths (N,) rad, counter-clockwise; in the mobile's own frame if the mobile measures."""
     turn = TURN[given.azimuth_unit]
     raw = table.numbers("azimuth")
     allowed = f"azimuths within +-{turn:.6g}, as azimuth_unit={given.azimuth_unit} declares"
@@ -192,7 +196,7 @@ def _elevation(table: Table, given: Conventions) -> Array:
 
 
 def doubts(table: Table, azimuth_unit: str) -> list[str]:
-    """A line if azimuths declared as deg look like rad."""
+    """A warning line if azimuths declared as deg look like rad, else none."""
     raw = table.numbers("azimuth")
     raw = raw[np.isfinite(raw)]
     if azimuth_unit == "rad" or len(raw) <= 20:
@@ -204,7 +208,7 @@ def doubts(table: Table, azimuth_unit: str) -> list[str]:
 
 
 def truth(table: Table, fix: np.ndarray, T: int) -> Array:
-    """True positions (T, 3) m, NaN where a fix has none; all rows of a fix that have one agree."""
+    """True positions (T, 3) m, NaN if a fix has none; raises BadValue if rows of a fix differ."""
     nothing = np.full(T, np.nan)
     found = np.stack(
         [table.shared(a, fix, T, SAME_M) if a in table.names else nothing for a in "xyz"], axis=-1

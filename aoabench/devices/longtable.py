@@ -1,4 +1,4 @@
-"""Long tables: anchors from a file; measurements and anchors as tables that can be read back."""
+"""Long tables: reading anchors from a file; writing measurements and anchors as tables."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 def read_anchors(key: str, path: str) -> tuple[list[str], Anchors]:
-    """Ids and anchors (1, 1, B, ...) from id, x_m, y_m and, 0 by default, z_m, facing_deg,
-    pitch_deg, roll_deg.
+    """Return ids and anchors (1, 1, B, ...) from the columns id, x_m, y_m and, 0 by default, z_m,
+    facing_deg, pitch_deg, roll_deg.
 
-    Rz(facing) Ry(pitch) Rx(roll) turns the anchor's axes from the global ones: with facing alone
-    local x looks along it, y to the left, z up, as in `plan.read_anchors`.
+    Rz(facing) Ry(pitch) Rx(roll) turns the global axes into the anchor's. With facing alone, local
+    x points along the facing direction, y to the left, z up, as in `plan.read_anchors`.
     """
     there = header(key, path)
     columns = ("id", "x_m", "y_m", "z_m", "facing_deg", "pitch_deg", "roll_deg")
@@ -45,10 +45,10 @@ def read_anchors(key: str, path: str) -> tuple[list[str], Anchors]:
 
 
 def as_tables(batch: Batch, truth: Array) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The measurements of one replication (R = 1) as a long table, and its anchors.
+    """Return the measurements of one replication (R = 1) as a long table, and its anchors.
 
-    The first has a row per fix and anchor that measured, with the true position of truth (T, n) m;
-    the second the anchors at the first step, as they are known.
+    The first table has a row per fix and anchor that measured, with the true position from `truth`
+    (T, n) m. The second table has the known anchors at the first step.
     """
     import pandas as pd
 

@@ -1,8 +1,7 @@
-"""Floor plans as files: anchors from CSV, walls from GeoJSON or CSV, and which anchors a point
-sees.
+"""Floor plans as files: anchors from CSV, walls from GeoJSON or CSV, and lines of sight.
 
 Local coordinates in m. A file is looked for in the working folder first, then among the shipped
-plans. Whatever is wrong with one raises BadValue with the key, the file and what is allowed.
+plans. Every mistake in a file raises BadValue with the key, the file and the allowed content.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _AT_ONCE = 1 << 16  # sight lines held in memory together
 
 
 def find(key: str, name: object) -> Path:
-    """The file of this name: in the working folder, or else among the shipped plans."""
+    """Path of the file `name`: in the working folder, or else among the shipped plans."""
     plans = shipped("configs") / "plans"
     if isinstance(name, str) and name.strip() and "\0" not in name:
         for path in (Path(name), plans / name):
@@ -51,11 +50,11 @@ def read_anchors(key: str, path: Path) -> Anchors:
 
 
 def read_walls(key: str, path: Path) -> tuple[Array, float | None]:
-    """Walls (W, 2, 2) m, each from one point to another, and the visited area in m^2 if the file
-    has it.
+    """Walls (W, 2, 2) m, each from one point to another, and the visited area in m^2 or None.
 
     CSV has the columns x0_m, y0_m, x1_m, y1_m. GeoJSON is a FeatureCollection: walls are
-    (Multi)LineStrings, of kind `wall` or of none; a Polygon of kind `visited` is the visited area.
+    (Multi)LineStrings of kind `wall` or without a kind; a Polygon of kind `visited` is the visited
+    area.
     """
     kind = path.suffix.lower()
     if kind == ".csv":
@@ -71,9 +70,10 @@ def read_walls(key: str, path: Path) -> tuple[Array, float | None]:
 
 
 def in_sight(points: Array, anchors: Array, segments: Array | None) -> np.ndarray:
-    """Which anchors (B, 2+) m each point (N, 2+) m sees (N, B): no wall (W, 2, 2) m meets the
-    straight way, seen from above. What touches a wall counts as met, so an anchor on a wall has to
-    stand a little in front of it.
+    """Mask (N, B) of the anchors (B, 2+) m in line of sight of each point (N, 2+) m.
+
+    Seen from above, no wall (W, 2, 2) m meets the line from point to anchor. A line that touches a
+    wall is blocked, so an anchor on a wall has to be a little in front of the wall.
     """
     clear = np.ones((len(points), len(anchors)), dtype=bool)
     if segments is None or not clear.size:
@@ -83,7 +83,7 @@ def in_sight(points: Array, anchors: Array, segments: Array | None) -> np.ndarra
     order = np.argsort(-np.hypot(*(segments[:, 1] - segments[:, 0]).T), kind="stable")
     groups = np.split(
         order, [len(order) // 8]
-    )  # the longest walls first: they hide most, and halve the work
+    )  # the longest walls first: they block most lines, which halves the work
     trees = [shapely.STRtree(shapely.linestrings(segments[group])) for group in groups]
     step = max(_AT_ONCE // len(anchors), 1)
     for first in range(0, len(points), step):
@@ -109,7 +109,7 @@ def _text(key: str, path: Path) -> str:
 
 
 def _table(key: str, path: Path, columns: tuple[str, ...]) -> Array:
-    """The numbers (N, columns) of a CSV file with a header; further columns are left out."""
+    """Numbers (N, columns) of a CSV file with a header; other columns are ignored."""
     lines = csv.reader(_text(key, path).splitlines())
     try:
         head = [name.strip() for name in next(lines, [])]
@@ -169,8 +169,8 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
 
 
 def _feature(number: int, feature: Any) -> tuple[str, list[Array]]:
-    """The kind of a GeoJSON feature, and its lines, each (K, 2) m; ValueError for what it may not
-    hold.
+    """Return the kind of a GeoJSON feature and its lines, each (K, 2) m; raises ValueError for
+    content that is not allowed.
     """
     node = _mapping(feature)
     geometry = _mapping(node.get("geometry"))
@@ -199,7 +199,7 @@ def _mapping(node: Any) -> dict[str, Any]:
 
 
 def _line(node: Any) -> Array | None:
-    """Points (K, 2) m of a GeoJSON line, heights left out; None if it is not one."""
+    """Points (K, 2) m of a GeoJSON line without heights; None if `node` is not a line."""
     try:
         line = np.array([point[:2] for point in node], dtype=float)
     except (TypeError, ValueError):

@@ -1,8 +1,8 @@
-"""Tables that users bring: CSV or Parquet, a few columns by name, every mistake with its line.
+"""Users' tables in CSV or Parquet: columns by name, every mistake with its line.
 
-A CSV file has a header, commas and decimal points; the rows of Parquet are counted from 1. Whatever
-is wrong raises BadValue with the key, the file and what is allowed. Heavy imports stay inside: a
-list of presets needs none of them.
+A CSV file has a header, commas and decimal points; rows of Parquet are counted from 1. Every
+mistake raises BadValue with the key, the file and the allowed content. Heavy imports are inside the
+functions, because a list of presets does not need them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from aoabench.maths.geometry import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-TEXTS = ("fix", "anchor", "id")  # read as texts: 007 is not 7, and 1E5 no number
+TEXTS = ("fix", "anchor", "id")  # read as text: 007 is not 7, and 1E5 is not a number
 EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None"]
 
 
@@ -67,7 +67,7 @@ def _reason(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """Some columns of a file by our names for them; `names` says what the file calls them."""
+    """Some columns of a file by aoabench's names; `names` maps these to the file's."""
 
     key: str
     path: str
@@ -77,10 +77,9 @@ class Table:
 
     @staticmethod
     def read(key: str, path: str, names: Mapping[str, str]) -> Table:
-        """The columns `names` (ours -> the file's), each of which is there once; rows without any
-        content are left out.
+        """Read the columns `names` (aoabench's name -> the file's); empty rows are left out.
 
-        An index of the frame is a row's place in the file.
+        The file has to contain each column once. The frame's index is the row's place in the file.
         """
         there = header(key, path)
         try:
@@ -111,7 +110,7 @@ class Table:
         import pandas as pd
 
         places = {ours: there.index(theirs) for ours, theirs in names.items()}
-        beyond = len(there)  # one column more: cells beyond the header would be lost in silence
+        beyond = len(there)  # one extra column, to find cells beyond the header
         texts = {place for ours, place in places.items() if ours in TEXTS} | {beyond}
         empty: dict[Any, list[str]] = {p: [""] if p in texts else EMPTY for p in range(beyond + 1)}
         found = pd.read_csv(
@@ -137,11 +136,11 @@ class Table:
         return table
 
     def where(self, keep: np.ndarray) -> Table:
-        """The rows that `keep` (N,) marks."""
+        """The table of the rows where `keep` (N,) is True."""
         return self if keep.all() else replace(self, frame=self.frame[keep])
 
     def bad(self, allowed: str) -> BadValue:
-        """The complaint about this file."""
+        """The error for this file; `allowed` is the allowed content."""
         return BadValue(self.key, self.path, allowed)
 
     def at(self, row: int, *columns: str) -> str:
@@ -157,12 +156,12 @@ class Table:
         )
 
     def check(self, column: str, wrong: np.ndarray, allowed: str) -> None:
-        """Raise BadValue with the first row that `wrong` (N,) marks."""
+        """Raise BadValue for the first row where `wrong` (N,) is True."""
         if wrong.any():
             raise self.bad(f"{allowed}; {self.at(int(np.flatnonzero(wrong)[0]), column)}")
 
     def is_number(self, column: str) -> bool:
-        """Whether a column holds numbers, as its first cell that is not empty tells."""
+        """Whether the first non-empty cell of a column is a number."""
         import pandas as pd
 
         cells = self.frame[column].dropna()
@@ -173,7 +172,7 @@ class Table:
         )
 
     def numbers(self, column: str, empty: bool = True) -> Array:
-        """A column (N,) of finite numbers; NaN where a cell is empty, if `empty` allows it."""
+        """A column (N,) of finite numbers; NaN for an empty cell if `empty` allows such cells."""
         import pandas as pd
 
         cells = self.frame[column]
@@ -213,8 +212,8 @@ class Table:
         return np.asarray((moments - moments.min()) / pd.Timedelta(seconds=1), dtype=float)
 
     def texts(self, column: str) -> tuple[np.ndarray, list[str]]:
-        """A column as indices (N,) into its different texts, in order of appearance; none may be
-        empty.
+        """A column as indices (N,) into its distinct texts, in order of appearance; raises BadValue
+        for an empty cell.
         """
         import pandas as pd
 
@@ -229,8 +228,8 @@ class Table:
         return merged[code], ids.tolist()
 
     def indices(self, column: str, known: Sequence[str], strict: bool) -> np.ndarray:
-        """A column as indices (N,) into the `known` texts; others raise BadValue if `strict`, else
-        they are -1.
+        """A column as indices (N,) into the `known` texts, -1 for others; raises BadValue for
+        others if `strict`.
         """
         code, ids = self.texts(column)
         place = {text: i for i, text in enumerate(known)}
@@ -245,8 +244,8 @@ class Table:
         return index
 
     def shared(self, column: str, group: np.ndarray, count: int, tolerance: float) -> Array:
-        """One number (count,) for each group of rows (N,), NaN without any; those of a group differ
-        by `tolerance` at most."""
+        """One number (count,) per group of rows (N,), NaN for a group without any; raises BadValue
+        if the numbers of a group differ by more than `tolerance`."""
         value, found = self.numbers(column), np.full(count, np.nan)
         known = np.flatnonzero(np.isfinite(value))
         groups, first = np.unique(group[known], return_index=True)
@@ -261,10 +260,10 @@ class Table:
     def distinct(
         self, pair: np.ndarray, values: Mapping[str, Array], which: str, hint: str
     ) -> np.ndarray:
-        """Which rows to keep, one for each number in `pair` (N,): the `first`, the `last`, or any
-        if `which` is error.
+        """Indices of the rows to keep, increasing: for each number in `pair` (N,) one row, the last
+        if `which` is `last`, else the first.
 
-        Rows of one pair with different `values` (N,) raise BadValue then.
+        If `which` is `error`, rows of one pair with different `values` (N,) raise BadValue.
         """
         _, first, inverse = np.unique(pair, return_index=True, return_inverse=True)
         if len(first) == len(pair):

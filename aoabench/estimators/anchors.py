@@ -1,6 +1,6 @@
-"""One anchor, one position: its ray meets the plane of the node's known height [Boquet 2024,
-2.2.1]; and what naive methods make of several such positions: choose one anchor, or take the mean
-[Boquet 2024, 4.2 and Table 1].
+"""Positions from single anchors, where a ray meets the plane of the node's known height [Boquet
+2024, 2.2.1], and the naive methods that choose one anchor or take the mean [Boquet 2024, 4.2 and
+Table 1].
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ DIFFERENT = "a list of different anchors' numbers >= 1, or null for all"
 
 @dataclass(frozen=True)
 class _OnPlane(Estimator):
-    """Rays of single anchors meet the plane of the known height."""
+    """Intersections of the rays of single anchors with the plane of the known height."""
 
     height_m: float | None = height_param()
     horizon_deg: float = horizon_param()
@@ -42,12 +42,12 @@ class _OnPlane(Estimator):
         return frozenset({"elevation"} | ({"height"} if self.height_m is None else set()))
 
     def check(self, scenario: Scenario, noise: Noise) -> None:
-        """Raise UserError also where an anchor lies in the plane."""
+        """Raise Unfit as all estimators do, and UserError if an anchor lies in the plane."""
         super().check(scenario, noise)
         plane_of(self.height_m, scenario)
 
     def each(self, batch: Batch, scenario: Scenario) -> Array:
-        """The position (R, T, B, 2) m from each anchor by itself; NaN where it did not measure."""
+        """Position (R, T, B, 2) m from each anchor alone; NaN where the anchor did not measure."""
         height = plane_of(self.height_m, scenario)
         return clipped(
             on_plane(directions(batch), batch.anchors, height, np.deg2rad(self.horizon_deg)),
@@ -58,7 +58,7 @@ class _OnPlane(Estimator):
 
 @dataclass(frozen=True)
 class SingleAnchor(_OnPlane):
-    """The position from one anchor, whatever the others measured."""
+    """The position from one given anchor alone."""
 
     anchor: int = param(1, "number of the anchor, counted from 1", least=1)
 
@@ -78,8 +78,9 @@ class SingleAnchor(_OnPlane):
 
 @dataclass(frozen=True)
 class BestAnchor(_OnPlane):
-    """Fix by fix the single anchor whose position is nearest to the truth: what a perfect selector
-    would reach.
+    """The position nearest to the truth among those of single anchors, for each fix.
+
+    Its error is that of a perfect choice of the anchor.
     """
 
     @property
@@ -89,7 +90,7 @@ class BestAnchor(_OnPlane):
     def __call__(
         self, batch: Batch, scenario: Scenario, streams: Streams, truth: Array | None = None
     ) -> Estimates:
-        """`truth`: the true states (R, T, n)."""
+        """Positions (R, T, 3) m, given the true states `truth` (R, T, n)."""
         assert truth is not None
         xy = self.each(batch, scenario)
         return _selected(xy, -np.hypot(*np.moveaxis(xy - truth[:, :, None, :2], -1, 0)))
@@ -97,7 +98,7 @@ class BestAnchor(_OnPlane):
 
 @dataclass(frozen=True)
 class RssiAnchor(_OnPlane):
-    """The single anchor that received the strongest signal."""
+    """The position from the anchor that received the strongest signal."""
 
     @property
     def needs(self) -> frozenset[str]:
@@ -110,8 +111,9 @@ class RssiAnchor(_OnPlane):
 
 
 def _selected(xy: Array, merit: np.ndarray) -> Estimates:
-    """The one of positions (R, T, B, 2) with the largest merit (R|1, T|1, B), among those that have
-    both; a merit of False counts as none.
+    """Estimates from the positions (R, T, B, 2) m with the largest merit (R|1, T|1, B).
+
+    An anchor without a position, or with a merit of NaN or False, is not chosen.
     """
     given = merit if merit.dtype == bool else np.isfinite(merit)
     merit = np.where(given & np.isfinite(xy[..., 0]), merit, -np.inf)
@@ -125,8 +127,9 @@ def _selected(xy: Array, merit: np.ndarray) -> Estimates:
 class AnchorMean(_OnPlane):
     """The mean of the positions from all anchors that measured, or from some of them.
 
-    Each is moved into the bounds first: the variance of where a ray near the horizon meets a plane
-    is infinite. The score is the root mean square distance in m of the positions from their mean.
+    Each position is moved into the bounds first, because the intersection of the plane with a ray
+    near the horizon has an infinite variance. The score is the root mean square distance in m of
+    the positions from their mean.
     """
 
     anchors: Sequence[int] | None = param(

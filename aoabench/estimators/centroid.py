@@ -34,7 +34,7 @@ class WeightedCentroid(Estimator):
         return frozenset({"elevation", "delay", "stated_sigma"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """One position per fix; `failed` where no AN measured a time and both angles."""
+        """One position per fix; outcome FAILED if no AN measured a time and both angles."""
         if batch.delay is None or batch.delay_sigma is None:
             raise Unfit(*NEEDS["delay"])
         R, T, B = batch.azimuth.shape
@@ -49,7 +49,7 @@ class WeightedCentroid(Estimator):
         )
         if (
             self.as_printed
-        ):  # the orientation twice: once in the angle, once in what is done with it
+        ):  # the orientation is applied twice: to the azimuth and to the unit vector
             azimuth = azimuth + np.arctan2(rotation[:, 0, 1], rotation[:, 0, 0])
         local = LIGHT * batch.delay[r, k, b, None] * to_unit(azimuth, batch.elevation[r, k, b])
         p = s + (local[:, None, :] @ rotation)[:, 0]

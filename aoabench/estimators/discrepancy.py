@@ -35,15 +35,15 @@ KERNELS = "kernels.discrepancy"
 CENTRES = ("midpoint", "estimate")
 INTERSECTIONS = ("boxes", "exact")
 TIES = ("area", "first")
-MOST = 62  # anchors: the kernel's sets are bits of an integer
-LEAST_AXIS = 1e-6  # m; an ellipse keeps an inside
-EVEN = 1e-9  # ratios (19) that differ by less are the same
+MOST = 62  # anchors; the kernel stores a set as the bits of an integer
+LEAST_AXIS = 1e-6  # m; so that an ellipse has an interior
+EVEN = 1e-9  # ratios (19) that differ by less are taken as equal
 
 
 @dataclass(frozen=True)
 class Discrepancy(Compiled, Estimator):
-    """r_sigma times azimuth_sigma_deg and elevation_sigma_deg are the deviations that shape the
-    ellipses.
+    """The discrepancy filter, with ellipses from the deviations r_sigma azimuth_sigma_deg and
+    r_sigma elevation_sigma_deg.
     """
 
     r_sigma: float = param(1.0, "factor on both deviations: a small one rejects more", above=0)
@@ -91,8 +91,8 @@ class Discrepancy(Compiled, Estimator):
         return frozenset({"elevation"} | ({"height"} if self.height_m is None else set()))
 
     def check(self, scenario: Scenario, noise: Noise) -> None:
-        """Raise UserError also where an anchor lies in the plane, or where there are more anchors
-        than the vote can count.
+        """Raise Unfit as all estimators do, and UserError if an anchor lies in the plane or the
+        scenario has more than MOST anchors.
         """
         super().check(scenario, noise)
         plane_of(self.height_m, scenario)
@@ -103,7 +103,7 @@ class Discrepancy(Compiled, Estimator):
             )
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """One position per fix; `rejected` where fewer than two ellipses agree, `failed` where no
+        """One position per fix; outcome REJECTED if fewer than two ellipses agree, FAILED if no
         anchor measured.
         """
         height = plane_of(self.height_m, scenario)
@@ -128,7 +128,7 @@ class Discrepancy(Compiled, Estimator):
 
     @property
     def deviations(self) -> tuple[float, float]:
-        """Of azimuth and elevation, rad."""
+        """Deviations of azimuth and elevation in rad."""
         return self.r_sigma * math.radians(self.azimuth_sigma_deg), self.r_sigma * math.radians(
             self.elevation_sigma_deg
         )
@@ -140,7 +140,7 @@ class Discrepancy(Compiled, Estimator):
 
     @property
     def least_axis(self) -> float:
-        """Lower limit of the half-axes, m."""
+        """Lower limit of the half-axes in m."""
         return max(self.minimum_axis_m, LEAST_AXIS)
 
     def by_kernel(
@@ -152,7 +152,7 @@ class Discrepancy(Compiled, Estimator):
         height: float,
         *found: np.ndarray,
     ) -> None:
-        """`fixes`, compiled."""
+        """The same as `fixes`, by the compiled kernel; `found` are the arrays to fill in."""
         centre = CENTRES.index(self.centre)
         vote = compiled.NO_VOTE if not self.vote else INTERSECTIONS.index(self.intersection)
         sa, se = self.deviations
@@ -177,8 +177,8 @@ class Discrepancy(Compiled, Estimator):
         self, azimuth: Array, elevation: Array, anchors: Anchors, height: float,
         position: Array, covariance: Array, outcome: np.ndarray, used: Array,
     ) -> None:  # fmt: skip
-        """Position (N, 3), covariance (N, 3, 3), outcome and number of anchors used (N,) from
-        angles (N, B).
+        """Fill in position (N, 3) m, covariance (N, 3, 3) m^2, outcome and number of anchors used
+        (N,) from angles (N, B) rad.
         """
         position[:], covariance[:], outcome[:], used[:] = np.nan, np.nan, Outcome.FAILED, 0
         missing = ~(np.isfinite(azimuth) & np.isfinite(elevation))
@@ -199,9 +199,9 @@ class Discrepancy(Compiled, Estimator):
         """S1: centres (N, B, 2) m and L = R S (N, B, 2, 2) of the ellipses, from angles (N, B) of
         anchors (1, N|1, B, ...).
 
-        For an upright anchor the half-axis a (13) is radial, as (15) has it: a lies along p_phi+ -
-        p_phi-, which is the same line, and still one at the nadir, where the ellipse's centre is
-        the anchor's foot.
+        The half-axis a (13) lies along p_phi+ - p_phi-. For an upright anchor this is the radial
+        line of (15), and it is still defined at the nadir, where the ellipse's centre is directly
+        below the anchor.
         """
         s, R = anchors.position[0], anchors.rotation[0]
         to_plane = height - s[..., 2]
@@ -243,8 +243,8 @@ class Discrepancy(Compiled, Estimator):
         return m, np.stack([a[..., None] * along, b[..., None] * across], axis=-1)  # (16), (17)
 
     def selected(self, m: Array, L: Array) -> np.ndarray:
-        """S2: which of ellipses m (B, 2), L (B, 2, 2) take part, in rising order; none where no two
-        agree.
+        """S2: indices, increasing, of the ellipses m (B, 2), L (B, 2, 2) in the set M*; none if no
+        two ellipses agree.
         """
         if not self.vote:
             return np.arange(len(m))
@@ -253,9 +253,9 @@ class Discrepancy(Compiled, Estimator):
             lower, upper = m - half, m + half
             corners = np.stack(np.meshgrid(*lower.T), axis=-1).reshape(
                 -1, 1, 2
-            )  # a common box has such a corner
+            )  # a common box has its lower corner at one of these
             sets = largest(np.all((lower <= corners) & (corners <= upper), axis=-1))
-        # a common region has crossings as vertices, or it is a whole ellipse and has its centre
+        # a common region has crossings as vertices, or it is one whole ellipse with its centre
         else:
             inside = [ellipses.levels(m, m, L) <= 1 + ellipses.TOUCH]
             for pair, p in ellipses.all_crossings(m, L).items():
@@ -276,8 +276,8 @@ class Discrepancy(Compiled, Estimator):
 
 
 def largest(inside: np.ndarray) -> list[np.ndarray]:
-    """The largest sets (18) of anchors, in the order of anchor numbers, from which ellipses (K, B)
-    hold each point.
+    """The largest sets (18) of anchors, in the order of anchor numbers, from the mask (K, B) of the
+    ellipses that contain each of K points.
     """
     count = inside.sum(axis=1)
     return [np.flatnonzero(M) for M in np.unique(inside[count == count.max()], axis=0)[::-1]]

@@ -1,5 +1,6 @@
-"""Ellipses and boxes in the plane: common points, crossings, areas; plain and slow, one pair or one
-set at a time.
+"""Ellipses and boxes in the plane: common points, crossings, areas.
+
+The functions are the plain and slow reference: one pair or one set at a time.
 
 An ellipse is E = {m + L x : |x| <= 1}, centre m (2,) and L (2, 2), so that Sigma = L L^T and
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from aoabench.maths.geometry import Array
 
-TOUCH = 1e-9  # what rounding may take from a level of 1: sets that touch have a point in common
+TOUCH = 1e-9  # tolerance for rounding of a level of 1: sets that touch have a common point
 GRID = np.linspace(-np.pi, np.pi, 17)
 
 
@@ -30,14 +31,14 @@ def boundary(t: Array, m: Array, L: Array) -> Array:
 
 
 def crossings(m: Array, L: Array, m2: Array, L2: Array) -> Array:
-    """Points (K, 2), K <= 4, where the boundaries of two ellipses cross, or the one where they
-    touch from outside.
+    """Points (K, 2), K <= 4, where the boundaries of two ellipses cross, or the one point where
+    they touch from outside.
 
-    Along the first one, the level of the second is a trigonometric polynomial of degree 2 in t. Its
-    derivative is, but for a factor, a self-reciprocal quartic in exp(i t), whose roots on the unit
-    circle are the extrema: between neighbours the level is monotone, and a change of sign brackets
-    one crossing. Roots off the circle, and the grid, only add brackets. Where one ellipse touches
-    the other from inside, and where both are the same, there are none.
+    Along the first ellipse, the level of the second is a trigonometric polynomial of degree 2 in t.
+    Its derivative is, except for a factor, a self-reciprocal quartic in exp(i t), whose roots on
+    the unit circle are the extrema. Between neighbouring extrema the level is monotone, and a
+    change of sign brackets one crossing. Roots off the circle and the grid only add brackets. The
+    result is empty if one ellipse touches the other from inside, and if both are equal.
     """
     u0, U = np.linalg.solve(L2, m - m2), np.linalg.solve(L2, L)
     (ux, uy), ((uxc, uxs), (uyc, uys)) = u0.tolist(), U.tolist()
@@ -72,13 +73,13 @@ def crossings(m: Array, L: Array, m2: Array, L2: Array) -> Array:
 
 
 def all_crossings(m: Array, L: Array) -> dict[tuple[int, int], Array]:
-    """Crossings (K, 2) of each two of ellipses m (B, 2), L (B, 2, 2)."""
+    """Crossings (K, 2) of each pair of ellipses m (B, 2), L (B, 2, 2), by the pair's indices."""
     B = range(len(m))
     return {(i, j): crossings(m[i], L[i], m[j], L[j]) for i in B for j in B if i < j}
 
 
 def same(m: Array, L: Array, m2: Array, L2: Array) -> bool:
-    """Whether two ellipses are the same but for rounding."""
+    """Whether two ellipses are equal except for rounding."""
     return bool(np.all(np.abs(levels(boundary(GRID, m, L), m2[None], L2[None]) - 1.0) <= TOUCH))
 
 
@@ -86,10 +87,10 @@ def areas(m: Array, L: Array) -> tuple[float, float]:
     """Areas of the intersection and of the union of ellipses m (B, 2), L (B, 2, 2), by Green's
     theorem.
 
-    Their boundaries consist of arcs between crossings: those inside, or outside, all other
-    ellipses. The integral (x dy - y dx) / 2 over an arc from t1 to t2 is (det L (t2 - t1) + m x (p2
-    - p1)) / 2. What is outside all others bounds a union with its holes. Of ellipses that are the
-    same one is left.
+    The boundary of the intersection consists of the arcs between crossings that are inside all
+    other ellipses; the boundary of the union, with its holes, of those outside all others. The
+    integral (x dy - y dx) / 2 over an arc from t1 to t2 is (det L (t2 - t1) + m x (p2 - p1)) / 2.
+    Equal ellipses are counted once.
     """
     keep = [i for i in range(len(m)) if not any(same(m[i], L[i], m[j], L[j]) for j in range(i))]
     m, L = m[keep] - m[keep].mean(axis=0), L[keep]

@@ -56,7 +56,7 @@ class LeastSquares(Compiled, Estimator):
         return frozenset({"several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """One position per fix; `failed` where the equations do not determine one."""
+        """One position per fix; outcome FAILED if the equations do not determine a position."""
         compiled = self.compiled(batch.anchors)
         if compiled is None:
             position = planes(batch, self.rows)
@@ -77,7 +77,7 @@ def by_kernel(
     tolerance: float = 0.0,
     updates: int = 0,
 ) -> tuple[Array, np.ndarray, np.ndarray]:
-    """Positions (R, T, 3) m, outcomes and numbers of updates (R, T); least squares alone where
+    """Positions (R, T, 3) m, outcomes and numbers of updates (R, T); least squares alone if
     `updates` is 0.
     """
     R, T, B = batch.azimuth.shape
@@ -87,7 +87,7 @@ def by_kernel(
     for i in range(R):
         position, rotation = (a[0] for a in batch.anchors.of(i).frames)
         centre = position.mean(axis=0)
-        # filled up with the last anchor: one of zeros would have angles of NaN
+        # padded with the last anchor: an anchor of zeros would have angles of NaN
         s = padded((position - centre).T, compiled.LANES, "edge")
         rotation = padded(np.moveaxis(rotation, 0, -1), compiled.LANES, "edge")
         compiled.gauss_newton(
@@ -98,7 +98,7 @@ def by_kernel(
 
 
 def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
-    """Azimuths, elevations (R, T, B) rad and 1 / variance of each; 0 and 0 where not measured."""
+    """Azimuths and elevations (R, T, B) rad and 1 / variance of each; both 0 if not measured."""
     angles = []
     weights = []
     for y, sigma in (
@@ -113,7 +113,7 @@ def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
 
 
 def padded(a: Array, lanes: int, by: Literal["constant", "edge"] = "constant") -> Array:
-    """The array with its last axis filled up to a multiple of `lanes`, by zeros or by repeating its
+    """The array with its last axis padded to a multiple of `lanes`, by zeros or by repeating the
     last element.
     """
     missing = -a.shape[-1] % lanes
@@ -123,10 +123,10 @@ def padded(a: Array, lanes: int, by: Literal["constant", "edge"] = "constant") -
 
 
 def planes(batch: Batch, rows: str = "printed") -> Array:
-    """Least-squares positions (R, T, 3) m; what is not measured gives no row.
+    """Least-squares positions (R, T, 3) m; angles that are not measured give no row.
 
-    NaN where A^T A is singular, and where all anchors that measured stand in one place: planes
-    through it meet there, whatever was measured.
+    NaN if A^T A is singular, and if all anchors that measured are at one place, because their
+    planes meet at this place for all measurements.
     """
     phi, theta = batch.azimuth, batch.elevation
     zero = np.zeros_like(phi)

@@ -6,9 +6,9 @@ so that
 
     p = (sum_i (I - u_i u_i^T))^-1 sum_i (I - u_i u_i^T) s_i      [Boquet 2024, 2.2.2, M_LS]
 
-An azimuth alone is a plane with normal n = (-sin phi, cos phi, 0) in the anchor's frame: n n^T
-takes the place of I - u u^T, and with nothing but planes through the vertical the problem is that
-of bearing lines in two dimensions.
+An azimuth alone is a plane with normal n = (-sin phi, cos phi, 0) in the anchor's frame, and n n^T
+replaces I - u u^T. With vertical planes alone the problem is that of bearing lines in two
+dimensions.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from aoabench.types import Batch, Estimates, Outcome
 
 
 def projectors(batch: Batch) -> tuple[Array, np.ndarray]:
-    """I - u u^T, or n n^T for an azimuth alone, (R, T, B, 3, 3), else 0; and where something is
-    measured.
+    """Projectors (R, T, B, 3, 3): I - u u^T, n n^T for an azimuth alone, or 0; and the mask
+    (R, T, B) of the measured azimuths.
     """
     u = directions(batch)
     whole: np.ndarray = np.asarray(np.isfinite(u).all(axis=-1))
@@ -48,7 +48,7 @@ def nearest_point(P: Array, s: Array) -> Array:
     """The point (R, T, 3) m nearest to lines or planes with projectors P (R, T, B, 3, 3) through s
     (R|1, T|1, B, 3) m.
 
-    NaN where they do not determine it; z alone is NaN where they say nothing of it.
+    NaN if the lines and planes do not determine a point; z alone is NaN if only z is undetermined.
     """
     A, g = P.sum(axis=2), (P @ s[..., None])[..., 0].sum(axis=2)
     level = A[..., 2, 2] <= 1e-12 * (A[..., 0, 0] + A[..., 1, 1])
@@ -79,7 +79,9 @@ class LineLeastSquares(Estimator):
         return frozenset({"several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """`failed` where fewer than two anchors measured or all lines are parallel."""
+        """One position per fix; outcome FAILED if fewer than two anchors measured or all lines are
+        parallel.
+        """
         P, measured = projectors(batch)
         p = nearest_point(P, batch.anchors.position)
         return _estimates(p, distances(P, batch.anchors.position, p), measured, scenario, self.clip)
@@ -90,7 +92,7 @@ class AnchorDiscarding(Estimator):
     """Least squares that discards, one by one, the anchor whose line is furthest from the point.
 
     It stops when the root mean square distance is at most `threshold_m` or two anchors are left.
-    The paper names its M_IAD without equations: this is a reconstruction.
+    The paper names this method M_IAD without equations; this class is a reconstruction.
     """
 
     threshold_m: float = param(

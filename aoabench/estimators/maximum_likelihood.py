@@ -3,16 +3,16 @@
 
     x <- x + (G^T C^-1 G)^-1 G^T C^-1 (y - f(x)),        G = df / dx
 
-from the least-squares start, until a step is shorter than `tolerance_m`. What the azimuth's
-difference means is the point of the paper:
+from the least-squares start, until a step is shorter than `tolerance_m`. The paper compares three
+definitions of the azimuth's difference:
 
     arctan   f = arctan(y / x), the measurement folded into [-pi/2, pi/2)                   (b)
     atan2    both in [0, 2 pi), no correction                                               (c)
     kcorr    both in [0, 2 pi), and 2 pi k added to f, k = sign(y - f) where |y - f| >= pi  (d)
 
-A fix diverges where |x| exceeds 1e9 m, becomes NaN or the normal matrix is not positive definite,
-and oscillates after `updates` steps; both give the start back, as in the paper. The number of
-updates is `iterations`.
+A fix diverges if |x| exceeds 1e9 m or becomes NaN, or if the normal matrix is not positive
+definite. A fix oscillates if it has not converged after `updates` steps. Both return the start, as
+in the paper. The number of updates is `iterations`.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class GaussNewton(Compiled, Estimator):
     kernels = KERNELS
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """One position per fix, the number of updates, and what became of the iteration."""
+        """One position per fix, the number of updates, and the outcome of the iteration."""
         compiled = self.compiled(batch.anchors)
         if compiled is not None:
             variant = (
@@ -124,12 +124,12 @@ class GaussNewton(Compiled, Estimator):
             ga, ge = np.moveaxis(np.stack(rows, axis=-2) @ R, -2, 0)
             da, de = self.azimuth_difference(azimuth, u, v), elevation - np.arctan2(w, rho)
         if self.as_printed == "atan2":
-            ga = -ga  # the derivative of what is printed
+            ga = -ga  # the derivative as printed
         A = np.einsum("nb,nbi,nbj->nij", wa, ga, ga) + np.einsum("nb,nbi,nbj->nij", we, ge, ge)
         return A, np.einsum("nb,nbi->ni", wa * da, ga) + np.einsum("nb,nbi->ni", we * de, ge)
 
     def azimuth_difference(self, measured: Array, u: Array, v: Array) -> Array:
-        """Measured azimuth minus that of (u, v), as this variant understands it."""
+        """Measured azimuth minus the azimuth of (u, v) in rad, by the chosen definition."""
         if self.azimuth == "arctan":
             folded = np.mod(measured + math.pi / 2, math.pi) - math.pi / 2
             return folded - np.arctan(v / u)

@@ -19,12 +19,11 @@ def directions(batch: Batch) -> Array:
 
 
 def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array:
-    """Where rays along unit vectors u (R, T, B, 3) from the anchors meet the plane z = height: (R,
-    T, B, 2) m.
+    """Points (R, T, B, 2) m where rays along unit vectors u (R, T, B, 3) from the anchors meet the
+    plane z = height.
 
-    A ray that would meet it further than `horizon` rad below the horizon allows, or never, is
-    turned down (or up, towards the plane) to that angle; an exactly vertical one meets it at the
-    anchor.
+    A ray less than `horizon` rad from the horizon on the plane's side, or on the other side, is
+    turned towards the plane to that angle. A vertical ray meets the plane at the anchor's x and y.
     """
     s = anchors.position
     h = height - s[..., 2]
@@ -36,8 +35,9 @@ def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array
 
 
 def plane_of(height_m: float | None, scenario: Scenario) -> float:
-    """The height m that a method was given, or else the scenario's. BadValue where none is, or an
-    anchor in it.
+    """Return `height_m`, or else the scenario's known height, in m.
+
+    Raises BadValue if neither is given, and if an anchor lies at this height.
     """
     height = scenario.known_height_m if height_m is None else height_m
     if height is None:
@@ -57,13 +57,13 @@ def plane_of(height_m: float | None, scenario: Scenario) -> float:
 
 
 def clipped(xy: Array, scenario: Scenario, clip: bool) -> Array:
-    """Points (..., 2) m moved into the scenario's bounds, if it has any and `clip` says so."""
+    """Points (..., 2) m moved into the scenario's bounds if `clip` and the scenario has bounds."""
     bounds = scenario.bounds_m
     return xy if bounds is None or not clip else np.clip(xy, *np.asarray(bounds))
 
 
 def in_plane(xy: Array, score: Array | None, used: Array) -> Estimates:
-    """Estimates from positions (R, T, 2) m: `failed` where they are NaN; z is NaN."""
+    """Estimates from positions (R, T, 2) m: z is NaN, and the outcome FAILED for a NaN position."""
     position = np.concatenate([xy, np.full((*xy.shape[:2], 1), np.nan)], axis=-1)
     outcome = np.where(np.isfinite(xy).all(-1), Outcome.OK, Outcome.FAILED).astype(np.int8)
     return Estimates(position, None, None, outcome, score, used)

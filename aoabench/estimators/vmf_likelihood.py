@@ -33,10 +33,10 @@ FREE = "free"
 class VmfLikelihood(Estimator):
     """Maximum likelihood of von Mises-Fisher directions.
 
-    Each kappa is 1 / sigma^2 of the azimuth's stated deviation where there is one, otherwise all
-    are alike. A fix is `oscillated` if no step gets shorter than `tolerance_m` within `updates`,
-    `diverged` beyond 1e6 m, `failed` without a start. The score is the root mean square angle in
-    rad between measured and expected directions.
+    Each kappa is 1 / sigma^2 of the azimuth's stated deviation; without stated deviations all kappa
+    are equal. The outcome of a fix is OSCILLATED if no step is shorter than `tolerance_m` within
+    `updates`, DIVERGED beyond 1e6 m, FAILED without a start. The score is the root mean square
+    angle in rad between measured and expected directions.
     """
 
     height_m: float | str | None = param(
@@ -55,7 +55,7 @@ class VmfLikelihood(Estimator):
         return frozenset({"elevation"} | ({"several_anchors"} if self.height_m == FREE else set()))
 
     def check(self, scenario: Scenario, noise: Noise) -> None:
-        """Raise UserError also where an anchor lies in the plane."""
+        """Raise Unfit as all estimators do, and UserError if an anchor lies in the plane."""
         super().check(scenario, noise)
         self._height(scenario)
 
@@ -105,8 +105,8 @@ class VmfLikelihood(Estimator):
     def minimise(
         self, p: Array, d: Array, w: Array, s: Array, free: bool
     ) -> tuple[Array, np.ndarray, np.ndarray, Array]:
-        """Positions (N, 3) m, outcomes, updates and costs (N,), from starts (N, 3) and (N, B, ...)
-        directions, weights and anchors; without `free`, z stays."""
+        """Positions (N, 3) m, outcomes, updates and costs (N,), from starts p (N, 3) m, directions
+        d, weights w and anchors s (N, B, ...); z is fixed unless `free`."""
         p, damping, count = p.copy(), np.full(len(p), 1e-3), np.zeros(len(p))
         outcome = np.where(np.isfinite(p).all(axis=-1), Outcome.OSCILLATED, Outcome.FAILED).astype(
             np.int8

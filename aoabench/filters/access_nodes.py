@@ -1,23 +1,24 @@
 """EKF on times and angles of arrival at access nodes (ANs) whose own positions are uncertain [Lu
 2019, (15)-(26)].
 
-Everything measured depends on the position alone, so that an update needs 3 x 3 matrices only. Per
-AN, with H (3, 3) the derivatives of (c delay, azimuth, elevation) by the position, those by the
-AN's position being -H,
+All measurements depend on the position alone, so that an update needs 3 x 3 matrices only. For each
+AN, with H (3, 3) the derivatives of (c delay, azimuth, elevation) by the position, and -H the
+derivatives by the AN's position,
 
     S = diag(qualities) + H C H^T,    A = sum H^T S^-1 H,    g = sum H^T S^-1 (y - h)
 
-C is the covariance of an AN's position, R block-diagonal over the ANs: their errors are independent
-(errata U3, U4). One error common to all ANs is a further error of the position: A becomes
-A (I + C A)^-1 with S without C; that is what (23), (24) print.
+C is the covariance of an AN's position. R is block-diagonal over the ANs, because their errors are
+independent (errata U3, U4). One error common to all ANs is an additional error of the position: S
+is then without C, and A becomes A (I + C A)^-1, as printed in (23), (24).
 
-The filter carries a root B of its covariance, P = B B^T. A and g amount to three measurements of
-the position, u = c^T (position error) + e with e ~ N(0, 1), where A = sum c c^T and g = sum u c;
-they shrink B one after the other (`roots.absorb`). With p for the position, the result is
+The filter keeps a square root B of its covariance, P = B B^T. A and g are equivalent to three
+measurements of the position, u = c^T (position error) + e with e ~ N(0, 1), where A = sum c c^T and
+g = sum u c. `roots.absorb` processes the three one after the other. With p for the position, the
+result is
 
     x+ = x + P_:p (I + A P_pp)^-1 g,    P+ = P - P_:p (I + A P_pp)^-1 A P_p:
 
-or K = P H^T (H P H^T + R)^-1, and P+ is positive definite however exact the measurements are.
+or K = P H^T (H P H^T + R)^-1. P+ is positive definite for any accuracy of the measurements.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash
 
 KERNELS = "kernels.access_nodes"
 PRINTED = ("jacobian", "wrap", "shared", "cross")
-LOST = 32 * EPS  # of a diagonal element: what is left of it is rounding
+LOST = 32 * EPS  # share of a diagonal element below which the rest is rounding error
 RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 
@@ -51,8 +52,7 @@ RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 class AccessNodeEKF(Compiled, Estimator):
     """EKF with times and angles of arrival, or angles alone.
 
-    What the filter believes of the ANs' positions is what the anchors state (`position_sigma`;
-    nothing: exact).
+    The anchors state the deviations of the ANs' positions (`position_sigma`; None: exact).
     """
 
     toa: bool = param(True, "whether times of arrival are used beside the angles")
@@ -91,8 +91,8 @@ class AccessNodeEKF(Compiled, Estimator):
         return Estimates(position, P, None, outcome)
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
-        """Innovations (R, T) at the predicted mean, by access node and component; NaN where it was
-        not heard.
+        """Innovations (R, T) at the predicted mean, by access node and component; NaN where the
+        access node was not heard.
         """
         y, q, heard = self.measured(batch)
         flags = tuple(name in self.as_printed for name in PRINTED)
@@ -109,11 +109,10 @@ class AccessNodeEKF(Compiled, Estimator):
         return innovations(found.reshape(shape), batch.azimuth.shape[2], names)
 
     def measured(self, batch: Batch) -> tuple[Array, Array, np.ndarray]:
-        """What the ANs heard at each step (T, K) measured, -1 filling up: ANs that nobody heard are
-        left out.
+        """Return measurements, their variances, and the numbers (T, K) of the ANs heard per step.
 
-        (c delay, azimuth, elevation) (R, T, K, 3) in m and rad, NaN = not measured, and their
-        variances.
+        Measurements are (c delay, azimuth, elevation) (R, T, K, 3) in m and rad, NaN = not
+        measured. ANs that no replication heard are left out; -1 pads the numbers.
         """
         angles = np.isfinite(batch.azimuth) | np.isfinite(batch.elevation)
         heard_at_all = (
@@ -159,8 +158,8 @@ class AccessNodeEKF(Compiled, Estimator):
         flags: tuple[bool, ...],
         seen: list[Array] | None = None,
     ) -> tuple[Array, Array]:
-        """The same in NumPy: positions (R, T, 3) and covariances (R, T, 3, 3); innovations (R, K,
-        3) go to `seen`.
+        """The kernel's recursion in NumPy: positions (R, T, 3) m and covariances (R, T, 3, 3) m^2;
+        innovations (R, K, 3) are appended to `seen`.
         """
         x, B = np.asarray(mean), np.broadcast_to(root, (*mean.shape, mean.shape[1]))
         means, covariances = [], []
@@ -191,8 +190,8 @@ def _variances(anchors: Anchors) -> Array:
 def columns(A: Array, g: Array) -> tuple[Array, Array]:
     """c (R, 3, 3) and u (R, 3) with A = c c^T and g = c u, for A (R, 3, 3) >= 0 and g (R, 3).
 
-    Eigenvectors of A scaled to a diagonal of 1. An eigenvalue that is lost in the rounding of A is
-    no information: its column is 0.
+    The columns of c come from the eigenvectors of A scaled to a diagonal of 1. An eigenvalue below
+    the rounding error of A carries no information, and its column is 0.
     """
     diagonal = np.diagonal(A, axis1=-2, axis2=-1)
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -240,8 +239,8 @@ def information(
 
 
 def common(A: Array, g: Array, C: Array) -> tuple[Array, Array]:
-    """A (I + C A)^-1 and (I + A C)^-1 g: one more error of the position, with variances C (R|1, 3)
-    m^2.
+    """A (I + C A)^-1 and (I + A C)^-1 g for an additional error of the position with variances
+    C (R|1, 3) m^2.
 
     With A = c c^T, g = c u and sqrt(C) c = f, these are c M M^T c^T and c M M^T u, where M is the
     root of (I + f^T f)^-1.
@@ -255,8 +254,8 @@ def common(A: Array, g: Array, C: Array) -> tuple[Array, Array]:
 
 
 def gather(H: Array, v: Array, S: Array) -> tuple[Array, Array]:
-    """Sums over the ANs of H^T S^-1 H (R, 3, 3) and of H^T S^-1 v (R, 3) from H, S (R, B, 3, 3), v
-    (R, B, 3).
+    """Sums over the ANs of H^T S^-1 H (R, 3, 3) and H^T S^-1 v (R, 3), from H and S (R, B, 3, 3)
+    and v (R, B, 3).
     """
     both = np.swapaxes(H, -1, -2) @ np.linalg.solve(S, np.concatenate([H, v[..., None]], axis=-1))
     both = both.sum(axis=1)
@@ -264,11 +263,11 @@ def gather(H: Array, v: Array, S: Array) -> tuple[Array, Array]:
 
 
 def expected(x: Array, anchors: Anchors, printed: bool = False) -> tuple[Array, Array]:
-    """(Range, azimuth, elevation) (R, B, 3) at positions x (R, 3) m and their derivatives (R, B, 3,
-    3).
+    """(Range, azimuth, elevation) (R, B, 3) in m and rad at positions x (R, 3) m, and their
+    derivatives (R, B, 3, 3).
 
-    `printed` takes the denominators of (21): d_2D^2 for d_2D d^2 and for d^2 in the elevation's
-    row, d_2D for d_2D^2 in the azimuth's.
+    `printed` uses the denominators of (21): d_2D^2 in place of d_2D d^2 and of d^2 in the
+    elevation's row, and d_2D in place of d_2D^2 in the azimuth's.
     """
     position, R = anchors.frames
     local = (R @ (x[:, None] - position)[..., None])[..., 0]  # (R, B, 3)

@@ -1,7 +1,7 @@
-"""Which kernel computes what a measurement model's methods do.
+"""Choice of the kernel that replaces a measurement model's methods.
 
-A measurement model says so by its own class attribute `kernel`. A subclass does not inherit that:
-it may change what the kernel would not know of.
+A measurement model names its kernel in its own class attribute `kernel`. A subclass does not
+inherit the kernel, because it may change methods that the kernel replaces.
 """
 
 from __future__ import annotations
@@ -12,6 +12,6 @@ KINDS = ("unit_vector", "azel", "azel_adaptive")  # as numbered in the kernels' 
 
 
 def kind_of(measurement: Measurement, engine: str = "auto") -> int | None:
-    """The number of the kernel that this measurement model names in its own class, or None."""
+    """Number of the kernel that the measurement model names in its own class, or None."""
     name = vars(type(measurement)).get("kernel")
     return KINDS.index(name) if engine == "auto" and name in KINDS else None

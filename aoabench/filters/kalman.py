@@ -1,14 +1,14 @@
 """Kalman filters over a tile of replications: EKF and UKF, for any measurement model with
 uncorrelated components.
 
-Both carry a square root B of the covariance, P = B B^T, and take one component of the measurement
-after the other, each as v = f^T z + e for a state x + B z (`roots.absorb`):
+Both keep a square root B of the covariance, P = B B^T, and process the components of the
+measurement one after the other, each as v = f^T z + e for a state x + B z (`roots.absorb`):
 
     EKF   B = L, the Cholesky factor of P, and f = L^T C^T
     UKF   B and f are the weighted deviations of the sigma points and of their images
 
-which equals K = P C^T (C P C^T + R)^-1, P+ = P - K S K^T [Nurminen 2018, Alg. 2 and 3; errata
-N1-N8], and is positive definite however exact the measurement is.
+The result equals K = P C^T (C P C^T + R)^-1, P+ = P - K S K^T [Nurminen 2018, Alg. 2 and 3; errata
+N1-N8]. P+ is positive definite for any accuracy of the measurement.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ KERNELS = "kernels.kalman"
 
 @dataclass(frozen=True)
 class _Kalman(Compiled, Filter):
-    """The recursion that both filters share; the scenario brings the motion model and the prior."""
+    """Recursion of EKF and UKF, with the scenario's motion model and prior."""
 
     measurement: Measurement = param(
         help="what the filter believes of the measurements", kind=Measurement
@@ -50,7 +50,7 @@ class _Kalman(Compiled, Filter):
     finest: ClassVar[float] = 0.0  # the kernel's least variance
 
     def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile or load the kernels, where there is one for the measurement model."""
+        """Compile or load the kernels, if the measurement model has one; `say` prints a line."""
         if self.kind() is not None:
             super().prepare(say)
 
@@ -89,14 +89,15 @@ class _Kalman(Compiled, Filter):
         quality: Array,
         seen: list[Array] | None = None,
     ) -> tuple[Array, Array]:
-        """Means (R, T, 3) and covariances (R, T, 3, 3) in NumPy, for any measurement model;
-        innovations (R, m) are appended to `seen`. The belief has a root of its covariance.
+        """Means (R, T, 3) m and covariances (R, T, 3, 3) m^2 in NumPy, for any measurement model.
+
+        Innovations (R, m) are appended to `seen`. The covariance of `belief` is a square root.
         """
         h, F = self.measurement, belief.F
         x = np.asarray(belief.mean)
         B = np.broadcast_to(belief.covariance, (*x.shape, x.shape[-1]))
         means, covariances = [], []
-        with np.errstate(all="ignore"):  # what overflows becomes NaN and is counted as failed
+        with np.errstate(all="ignore"):  # overflow becomes NaN and is counted as failed
             for k in range(Y.shape[1]):
                 here = anchors.at(k)
                 x, L = x @ F.T, predicted(B, F, belief.Q)
@@ -110,15 +111,15 @@ class _Kalman(Compiled, Filter):
     def update(
         self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
     ) -> tuple[Array, Array]:
-        """Posterior mean (R, n) and a root (R, n, k) of its covariance.
+        """Posterior mean (R, n) and a square root (R, n, k) of its covariance.
 
-        From the prior's mean and lower Cholesky factor L (R, n, n), y (R, m) and its variances r
-        (R, m).
+        Arguments: the prior's mean x (R, n) and lower Cholesky factor L (R, n, n), measurements y
+        (R, m) and their variances r (R, m).
         """
         raise NotImplementedError
 
     def kind(self) -> int | None:
-        """The number of the measurement model in the kernels; None where NumPy computes."""
+        """Number of the measurement model in the kernels; None for computation in NumPy."""
         return None
 
     def _compiled(
@@ -129,7 +130,7 @@ class _Kalman(Compiled, Filter):
         position: Array,
         covariance: Array,
     ) -> None:
-        """Fill in means (R, T, 3) and covariances (R, T, 3, 3) by the kernel."""
+        """Fill the means `position` (R, T, 3) m and `covariance` (R, T, 3, 3) m^2 by the kernel."""
         raise NotImplementedError
 
 
@@ -163,7 +164,7 @@ class EKF(_Kalman):
 class UKF(_Kalman):
     """Unscented Kalman filter with 2 n + 1 sigma points [Nurminen 2018, Alg. 3].
 
-    Angles are averaged as deviations from the central point's.
+    Angles are averaged as deviations from the angle of the central point.
     """
 
     lambda_: float = param(0.5, "spread of the sigma points", least=0)
@@ -173,7 +174,7 @@ class UKF(_Kalman):
         "or augmented (the noise is a part of the sigma points)",
         choices=("averaged", "centre", "augmented"),
     )
-    finest: ClassVar[float] = 1e-12  # rad^2; squares of more exact angles swallow what others say
+    finest: ClassVar[float] = 1e-12  # rad^2; with smaller ones rounding loses other components
 
     def kind(self) -> int | None:
         if type(self) is not UKF or self.form == "augmented":
@@ -214,7 +215,9 @@ class UKF(_Kalman):
     def _augmented(
         self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
     ) -> tuple[Array, Array]:
-        """Sigma points of (x, e), e ~ N(0, I) in m dimensions, through h(x) + sigma(x) e."""
+        """Update from sigma points of (x, e), e ~ N(0, I) in m dimensions, mapped to
+        h(x) + sigma(x) e.
+        """
         h, (n, m) = self.measurement, (x.shape[-1], y.shape[-1])
         both = np.zeros((len(x), n + m, n + m))
         both[:, :n, :n] = L
@@ -235,8 +238,8 @@ class UKF(_Kalman):
 
 
 def sigma_points(x: Array, L: Array, lambda_: float) -> tuple[Array, Array]:
-    """Points (R, 2n+1, n) x, x + sqrt(n + lambda) L_i, x - sqrt(n + lambda) L_i, and their weights
-    (2n+1,).
+    """Sigma points (R, 2n+1, n) x, x + sqrt(n + lambda) L_i, x - sqrt(n + lambda) L_i, and their
+    weights (2n+1,).
     """
     n = x.shape[-1]
     spread = np.sqrt(n + lambda_) * np.swapaxes(L, -1, -2)

@@ -1,14 +1,14 @@
 """Bootstrap particle filter for any measurement model with a likelihood.
 
-Weights live as logarithms: kappa = 1e6 and many steps without resampling do not underflow [Nurminen
-2018, Alg. 1]:
+Weights are stored as logarithms, so that kappa = 1e6 and many steps without resampling do not
+underflow [Nurminen 2018, Alg. 1]:
 
     x_k^i ~ N(F x_{k-1}^i, Q),   log w_k^i = log w_{k-1}^i + log p(y_k | x_k^i),
     x_k = sum_i w_k^i x_k^i
 
-and where 1 / sum_i (w_k^i)^2 < `resample_below` N, the particles are resampled systematically.
+If 1 / sum_i (w_k^i)^2 < `resample_below` N, the particles are resampled systematically.
 
-`ParticleFilter` has it twice: as the readable reference in NumPy and double precision, and as a
+`ParticleFilter` has two implementations: a readable reference in NumPy and double precision, and a
 compiled kernel in single precision (`kernels/particle.py`) for the measurement models that name
 one.
 """
@@ -40,15 +40,15 @@ KERNELS = "kernels.particle"
 
 
 class Normals(Protocol):
-    """Where a filter draws from: numpy.random.Generator, or the kernel's own draws."""
+    """Source of a filter's draws: numpy.random.Generator, or the kernel's own draws."""
 
     def standard_normal(self, shape: tuple[int, int]) -> Array: ...
     def random(self) -> float: ...
 
 
 class Track(NamedTuple):
-    """One replication: the belief, whose mean is (n,), measured values and their variances (T, m),
-    and the anchors (1, T|1, B, ...).
+    """Input of one replication: the belief with a mean (n,), measured values and their variances
+    (T, m), and the anchors (1, T|1, B, ...).
     """
 
     belief: Belief
@@ -58,8 +58,8 @@ class Track(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """One replication: means (T, 3) m, covariances (T, 3, 3) m^2, outcomes (T,), and effective
-    numbers of particles (T,).
+    """Result of one replication: means (T, 3) m, covariances (T, 3, 3) m^2, outcomes (T,), and
+    effective numbers of particles (T,).
     """
 
     mean: Array
@@ -69,7 +69,7 @@ class Posterior(NamedTuple):
 
     @classmethod
     def empty(cls, T: int) -> Posterior:
-        """For T steps, to be filled in."""
+        """An empty result for T steps, to be filled in."""
         return cls(np.empty((T, 3)), np.empty((T, 3, 3)), np.empty(T, dtype=np.int8), np.empty(T))
 
 
@@ -77,10 +77,10 @@ class Posterior(NamedTuple):
 class ParticleFilter(Compiled, Filter):
     """A bootstrap particle filter with systematic resampling.
 
-    Every draw depends on the replication alone, never on the weights: all particle filters of one
-    replication move their particles by the same noise. The compiled kernel needs a state that is
-    the position alone. The engine `numpy` has draws of its own; `double` shows what single
-    precision does.
+    Every draw depends on the replication alone, never on the weights, so all particle filters of
+    one replication move their particles by the same noise. The compiled kernel needs a state that
+    is the position alone. The engine `numpy` has draws of its own; the engine `double` repeats the
+    kernel in double precision, to show the effect of single precision.
     """
 
     measurement: Measurement = param(
@@ -98,15 +98,15 @@ class ParticleFilter(Compiled, Filter):
     kernels = KERNELS
 
     def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile or load the kernels, where there is one for the measurement model."""
+        """Compile or load the kernels, if the measurement model has one; `say` prints a line."""
         if kind_of(self.measurement, self.engine) is not None:
             super().prepare(say)
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """Posterior means (R, T, 3) m and covariances (R, T, 3, 3) m^2.
 
-        A step whose likelihood is 0 (or NaN) at every particle tells nothing: the particles keep
-        their weights, and the fix is `diverged`.
+        If the likelihood of a step is 0 or NaN at every particle, the particles keep their weights
+        and the outcome of the fix is DIVERGED.
         """
         found = self._each(batch, believed(batch, scenario), streams)
         position = np.stack([one.mean for one in found])
@@ -121,7 +121,7 @@ class ParticleFilter(Compiled, Filter):
         belief = believed(batch, scenario)
         found = self._each(batch, belief, streams)
         columns = {"ess": np.stack([one.effective for one in found])}
-        if len(belief.F) == 3:  # elsewhere the mean of the whole state is not kept
+        if len(belief.F) == 3:  # for a larger state the mean of the whole state is not kept
             h, means = self.measurement, np.stack([one.mean for one in found])
             Y, _ = h.observe(batch)
             x = np.concatenate([belief.mean[:, None], means[:, :-1]], axis=1) @ belief.F.T
@@ -151,8 +151,8 @@ class ParticleFilter(Compiled, Filter):
     def _reference(self, track: Track, rng: Normals, chosen: np.ndarray | None = None) -> Posterior:
         """One replication in NumPy.
 
-        `chosen` (T, 2, N): ancestors chosen by the compiled filter and its weights q, -1 where it
-        does not resample at a step; offspring then carry the weights w / q.
+        `chosen` (T, 2, N): ancestors chosen by the compiled filter and its weights q, -1 at steps
+        without resampling; offspring then carry the weights w / q.
         """
         belief, Y, quality, anchors = track
         T, N, n = len(Y), self.particles, len(belief.F)
@@ -189,8 +189,9 @@ class ParticleFilter(Compiled, Filter):
         streams: Streams,
         chosen: np.ndarray | None = None,
     ) -> Posterior:
-        """The i-th replication by the kernel, relative to the prior's mean; `chosen` as above, to
-        be filled in.
+        """The i-th replication by the kernel, computed relative to the prior's mean.
+
+        `chosen` (see `_reference`) is filled in if given.
         """
         belief, Y, quality, anchors = track
         T, origin, F = len(Y), belief.mean, belief.F
@@ -221,9 +222,9 @@ class ParticleFilter(Compiled, Filter):
         the kernel chose.
 
         Resampled particles carry the ratio of the weights in double and in single precision, so
-        this is a particle filter in its own right; what differs from the kernel is rounding alone.
-        Left to itself it would choose another ancestor at the first tie of last bits, and drift
-        apart by as much as two filters with different seeds.
+        the result is a valid particle filter that differs from the kernel by rounding alone. With
+        its own choice of ancestors it would differ from the kernel after the first near tie as much
+        as two filters with different seeds.
         """
         kind = kind_of(self.measurement) if len(track.belief.F) == 3 else None
         compiled = None if kind is None or track.anchors.moving else load(KERNELS)
@@ -237,10 +238,11 @@ class ParticleFilter(Compiled, Filter):
 
 
 def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:
-    """Normalised log weights and weights (N,) after a likelihood (N,), and whether it told
-    anything.
+    """Normalised log weights and weights (N,) after a log likelihood (N,), and whether a particle
+    has a likelihood above 0.
 
-    A NaN likelihood counts as 0. Where no particle is left, the weights stay as they were.
+    A NaN counts as likelihood 0. If no particle has a likelihood above 0, the weights do not
+    change.
     """
     new = log_w + np.where(np.isnan(loglik), -np.inf, loglik)
     top = new.max()
@@ -256,11 +258,11 @@ def systematic(w: Array, offset: float) -> np.ndarray:
     """Ancestors (N,) by systematic resampling of weights w (N,), sum 1, with one uniform `offset`
     in [0, 1).
 
-    Particle i gets floor(N w_i) or one more children, N w_i of them in the mean. O(N): how many of
-    the points (j + offset) / N, j = 0 ... N-1, lie below each cumulative weight.
+    Particle i gets floor(N w_i) children or one more, and N w_i on average. The cost is O(N): the
+    points (j + offset) / N, j = 0 ... N-1, below each cumulative weight are counted.
     """
     N = len(w)
     below = np.ceil(N * np.cumsum(w) - offset)
-    below[-1] = N  # whatever the sum's last bits
+    below[-1] = N  # despite rounding of the sum
     counts = np.diff(np.clip(below, 0, N), prepend=0.0)
     return np.repeat(np.arange(N), counts.astype(np.intp))

@@ -1,4 +1,4 @@
-"""What the particle filter's kernel is given: its normals, and measurements as coefficients."""
+"""Inputs of the particle filter's kernel: normals, and measurements as coefficients."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ SHARED_BYTES = 2**26  # the normals of one replication are kept for the next fil
 
 
 class _Shared(threading.local):
-    """The normals that this thread drew last; the filters of one replication ask for the same ones
-    in turn.
-    """
+    """The last normals drawn by this thread, shared by the filters of one replication."""
 
     key: tuple[Any, ...] = ()
     memory = np.empty(0, dtype=np.float32)
@@ -32,10 +30,11 @@ _shared = _Shared()
 def shared_normals(
     compiled: ModuleType, key: tuple[int, int], replication: int, planes: int, particles: int
 ) -> Any:
-    """Standard normals (planes, 3, M), float32, of one replication, M = `particles` rounded up to
-    whole tiles.
+    """Standard normals (planes, 3, M), float32, of one replication, with M = `particles` rounded up
+    to whole tiles.
 
-    Where they would take too much memory, (1, 3, M) for the kernel to draw them into, step by step.
+    If the normals need more than SHARED_BYTES, the result is a buffer (1, 3, M) that the kernel
+    fills step by step.
     """
     M = -(-particles // compiled.TILE) * compiled.TILE
     kept = 12 * planes * M <= SHARED_BYTES
@@ -57,7 +56,7 @@ def shared_normals(
 
 @dataclass
 class KernelDraws:
-    """The kernel's draws in the order in which the reference asks for them."""
+    """The kernel's draws in the order of the reference's calls."""
 
     compiled: ModuleType
     key: tuple[int, int]
@@ -84,7 +83,7 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
     """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal
     variances (T, m).
 
-    See `kernels.particle.loglik`; what is not measured (NaN) gets the weight 0.
+    See `kernels.particle.loglik`; a value that is not measured (NaN) gets the weight 0.
     """
     s, R = anchors.frames[0][0] - origin, anchors.frames[1][0]
     B = len(s)
@@ -107,10 +106,8 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
 
 
 def weights_table(measurement: Measurement) -> np.ndarray:
-    """w = 1 / (2 variance) and then log(w) / 2, each of azimuth and elevation in turn, at -90, -89
-    ... 90 degrees.
-
-    (724,) float32.
+    """Table (724,), float32, of w = 1 / (2 variance) and then log(w) / 2, each of azimuth and
+    elevation in turn, at -90, -89 ... 90 degrees.
     """
     w = (0.5 / measurement.variances()).ravel()
     return np.concatenate([w, 0.5 * np.log(w)]).astype(np.float32)

@@ -1,9 +1,10 @@
-"""Covariances as square roots, P = B B^T: symmetric and positive definite whatever is rounded.
+"""Covariances as square roots, P = B B^T: symmetric and positive definite despite rounding.
 
-A predicted covariance is a sum of squares and gets a Cholesky factor; a measurement shrinks the
-factor in Potter's form. Nothing is subtracted from a covariance. Where one is formed, its diagonal
-grows by n (n + k) eps, which is more than its sums of k terms and a Cholesky factor of it lose in
-rounding (both are bounded by multiples of sqrt(P_ii P_jj) [Higham 2002, Theorems 10.5, 10.7]).
+A predicted covariance is a sum of squares with a Cholesky factor; a measurement updates the factor
+in Potter's form. Nothing is subtracted from a covariance. When a covariance is formed, its diagonal
+is increased by n (n + k) eps. This exceeds the rounding errors of the sums of k terms and of the
+Cholesky factor (both are bounded by multiples of sqrt(P_ii P_jj) [Higham 2002, Theorems 10.5,
+10.7]).
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import cholesky
 
 EPS = float(np.finfo(float).eps)
-INDEFINITE = -1e-9  # of a correlation matrix: an eigenvalue below is no rounding
+INDEFINITE = -1e-9  # eigenvalue of a correlation matrix below which it is not rounding error
 
 
 def prior_root(P: Array) -> Array:
-    """A lower factor B (n, n) of P = B B^T for a positive semidefinite P; NaN for any other."""
+    """Lower factor B (n, n) of a positive semidefinite P = B B^T; NaN for any other P."""
     P = np.asarray(P, dtype=float)
     if not np.isfinite(P).all():
         return np.full_like(P, np.nan)
@@ -51,9 +52,9 @@ def predicted(B: Array, F: Array, Q: Array) -> Array:
 def absorb(x: Array, B: Array, f: Array, v: Array, r: Array) -> tuple[Array, Array]:
     """Mean (R, n) and factor (R, n, k) of x + B z, z ~ N(0, I), given v = f^T z + e, e ~ N(0, r).
 
-    f (R, k, m), v and r (R, m), r >= 0; a component whose v is NaN is not measured. One component
-    after the other in Potter's form: with s = r + f^T f, x += B f v / s and B -= B f f^T / (s +
-    sqrt(r s)); the other components' f and what is left of their v change like B and x.
+    f (R, k, m), v and r (R, m), r >= 0; a component whose v is NaN is not measured. Components are
+    processed one after the other in Potter's form: with s = r + f^T f, x += B f v / s and
+    B -= B f f^T / (s + sqrt(r s)); f and v of the remaining components change like B and x.
     """
     m, missing = v.shape[1], np.isnan(v)
     f, r = np.where(missing[:, None], 0.0, f), np.where(missing, 1.0, r).T

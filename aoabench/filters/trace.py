@@ -1,4 +1,4 @@
-"""What a filter shows of a replayed replication."""
+"""Columns of a filter's trace in a replay."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from aoabench.maths.geometry import Array
 
 
 def innovations(values: Array, anchors: int, names: tuple[str, ...] = ()) -> dict[str, Array]:
-    """Columns (R, T) of a trace from innovations (R, T, B d) in anchor order: measured less
-    expected, or NaN.
+    """Columns (R, T) of a trace from innovations (R, T, B d), measured minus expected or NaN, in
+    anchor order.
 
-    `names` of the d components; without them two are azimuth and elevation, three those of a unit
-    vector.
+    `names` are those of the d components; the default is azimuth and elevation for d = 2, and the
+    components of a unit vector for d = 3.
     """
     each = values.reshape(*values.shape[:2], anchors, -1)
     names = names or {2: ("azimuth_rad", "elevation_rad"), 3: ("x", "y", "z")}.get(

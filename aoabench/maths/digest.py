@@ -13,7 +13,7 @@ import numpy as np
 
 
 def digest(content: Any) -> str:
-    """Hash of plain values; equal for equal content, and 5 and 5.0 are one number."""
+    """Hash of plain values; equal for equal content, where 5 equals 5.0."""
     text = json.dumps(_canonical(content), sort_keys=True, separators=(",", ":"), default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -27,10 +27,10 @@ def _canonical(value: Any) -> Any:
 
 
 def described(value: Any) -> Any:
-    """The content of an object as plain values: of a dataclass its public name and the fields that
-    differ from their defaults, so that a new field with a neutral default changes nothing.
+    """Return the content of an object as plain values.
 
-    What cannot be described becomes a text that is different each time.
+    A dataclass gives its public name and the fields that differ from their defaults, so that a new
+    field with a neutral default changes nothing. Any other object gives a random text.
     """
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -52,13 +52,13 @@ def described(value: Any) -> Any:
 
 
 def public_name(cls: type) -> str:
-    """The name of a class with the package of its kind, not its file: noise.VonMisesFisher."""
+    """Name of a class with its package, without its file, such as noise.VonMisesFisher."""
     head, *rest = cls.__module__.split(".")
     return f"{rest[0] if head == 'aoabench' and rest else head}.{cls.__qualname__}"
 
 
 def no_default(f: Any) -> bool:
-    """Whether a dataclass field must be given."""
+    """Whether a dataclass field has no default."""
     return bool(f.default is MISSING and f.default_factory is MISSING)
 
 

@@ -66,8 +66,8 @@ def vmf_mean_length(kappa: ArrayLike) -> Array:
 def vmf_variances(kappa: ArrayLike) -> tuple[Array, Array]:
     """Variances (tangential, radial) of VMF: cov(u) = t (I - mu mu^T) + r mu mu^T.
 
-    t = A / kappa and r = 1 - 2 A / kappa - A^2 = 1 / kappa^2 - 1 / sinh^2(kappa), the latter being
-    the stable form.
+    t = A / kappa and r = 1 - 2 A / kappa - A^2 = 1 / kappa^2 - 1 / sinh^2(kappa); the last form is
+    numerically stable.
     """
     kappa = np.asarray(kappa, dtype=float)
     k = np.minimum(kappa, _SERIES_BELOW)
@@ -113,8 +113,8 @@ def vmf_sample(rng: np.random.Generator, mu: Array, kappa: ArrayLike) -> Array:
 def vmf_fit(u: Array) -> tuple[Array, float]:
     """Maximum-likelihood mean direction (3,) and concentration from unit vectors (N, 3), N >= 1.
 
-    Solves A(kappa) = |mean of u| by Newton's method in log(kappa). Returns inf when all u are
-    equal.
+    Newton's method in log(kappa) solves A(kappa) = |mean of u|. The concentration is inf if all u
+    are equal.
     """
     resultant = np.mean(u, axis=0)
     length = float(np.linalg.norm(resultant))
@@ -148,8 +148,7 @@ def flip(azimuth: Array, elevation: Array) -> tuple[Array, Array]:
     (...) rad.
 
     An elevation beyond a pole is flipped to its supplementary angle and its azimuth is turned by pi
-    [Nurminen 2018, Model I]; written for elevations of any size, where the paper's rule covers one
-    flip.
+    [Nurminen 2018, Model I]. Elevations may have any size; the paper's rule covers one flip.
     """
     e = wrap(elevation)
     over = np.abs(e) > np.pi / 2
@@ -195,8 +194,8 @@ def flipped_azimuth_std(
 
 
 def flipped_elevation_moments(elevation: ArrayLike, sigma: float) -> tuple[Array, Array]:
-    """Mean error and root mean square error, both (...) rad, of the flipped elevation at a true one
-    (...) rad.
+    """Mean error and root mean square error, both (...) rad, of the flipped elevation at a true
+    elevation (...) rad.
 
     Closed form: between the flips, on ((m - 1/2) pi, (m + 1/2) pi), the flipped angle is (-1)^m (y
     - m pi).
@@ -216,7 +215,5 @@ def flipped_elevation_moments(elevation: ArrayLike, sigma: float) -> tuple[Array
 
 
 def _turns(sigma: float) -> int:
-    """Full turns within which a normal of deviation sigma rad has all its mass that floating point
-    can see.
-    """
+    """Number of full turns that contain a normal of deviation sigma rad up to ten deviations."""
     return int(np.ceil(10.0 * sigma / (2 * np.pi))) + 1

@@ -16,22 +16,22 @@ LIGHT = 299_792_458.0  # m/s
 
 
 def wrap(angle: ArrayLike) -> Array:
-    """Angle (...) rad brought into (-pi, pi]."""
+    """Angle (...) rad wrapped into (-pi, pi]."""
     a = np.asarray(angle, dtype=float)
     a = a - 2 * np.pi * np.rint(a / (2 * np.pi))
     return np.where(a <= -np.pi, np.pi, np.minimum(a, np.pi))  # rounding may exceed pi
 
 
 def to_unit(azimuth: ArrayLike, elevation: ArrayLike) -> Array:
-    """Azimuth and elevation (...) rad to unit vectors (..., 3) [Nurminen 2018, (3)]."""
+    """Unit vectors (..., 3) from azimuth and elevation (...) rad [Nurminen 2018, (3)]."""
     c = np.cos(elevation)
     z = np.sin(elevation)
     return np.stack(np.broadcast_arrays(np.cos(azimuth) * c, np.sin(azimuth) * c, z), axis=-1)
 
 
 def to_azel(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
-    """Components (...) of vectors of any length to azimuth and elevation (...) rad; azimuth 0 at an
-    exact pole.
+    """Azimuth and elevation (...) rad from components (...) of vectors of any length; azimuth 0 at
+    an exact pole.
     """
     x, y = (
         np.asarray(x) + 0.0,
@@ -41,11 +41,10 @@ def to_azel(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
 
 
 def in_frames(point: ArrayLike, position: Array, rotation: Array) -> tuple[Array, Array, Array]:
-    """R_j (theta - s_j): points seen from each anchor, as x, y, z (R, ..., B) m in the anchor's
-    frame.
+    """x, y, z (R, ..., B) m of points in each anchor's frame, R_j (theta - s_j).
 
-    point (R, ..., 3) m, position (R|1, B, 3) m, rotation (R|1, B, 3, 3); or, with a second axis in
-    common, point (R, T, ..., 3) m, position (R|1, T|1, B, 3) m, rotation (R|1, T|1, B, 3, 3).
+    point (R, ..., 3) m, position (R|1, B, 3) m, rotation (R|1, B, 3, 3); or, with a common second
+    axis, point (R, T, ..., 3) m, position (R|1, T|1, B, 3) m, rotation (R|1, T|1, B, 3, 3).
     """
     p = np.asarray(point, dtype=float)
     s = _aligned(position, p.ndim - 1, 2)
@@ -56,15 +55,15 @@ def in_frames(point: ArrayLike, position: Array, rotation: Array) -> tuple[Array
 
 
 def rotations_for(point: Array, rotation: Array) -> Array:
-    """Rotations (R|1, B, 3, 3) with the axes that points (R, ..., n) have between R and the last
-    one.
+    """Rotations (R|1, B, 3, 3) with axes of length 1 inserted after the first, to broadcast with
+    points (R, ..., n).
     """
     return _aligned(rotation, point.ndim - 1, 3)
 
 
 def _aligned(array: Array, leading: int, own: int) -> Array:
-    """An array whose last `own` axes are its own, with `leading` axes in front of these: axes of
-    length 1 are inserted after those that it has.
+    """The array with `leading` axes in front of its last `own` axes: axes of length 1 are inserted
+    after its leading axes.
     """
     split = array.ndim - own
     return array.reshape(*array.shape[:split], *(1,) * (leading - split), *array.shape[split:])

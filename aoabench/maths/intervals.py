@@ -1,7 +1,7 @@
 """Confidence intervals over independent replications, the bootstrap of whole replications, and
 Holm's correction.
 
-An interval is (low, high) at the two-sided level `confidence`; NaN where too few values tell. NaN
+An interval is (low, high) at the two-sided level `confidence`, and NaN for too few values. NaN
 values are left out.
 """
 
@@ -20,7 +20,7 @@ NOTHING = (math.nan, math.nan)
 
 
 def finite(values: ArrayLike) -> Array:
-    """The finite ones among values (N,)."""
+    """The finite values of `values` (N,)."""
     x = np.asarray(values, dtype=float)
     return x[np.isfinite(x)]
 
@@ -56,7 +56,7 @@ def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
 
 
 def _hall(y: float, a: float) -> float:
-    """The T that Hall's transformation takes to y."""
+    """The T whose Hall transform is y."""
     if abs(a) < 1e-6:  # the cube root cancels; to first order in a
         return y - a * (1 + 2 * y * y) / 6
     return float(3 / a * (np.cbrt(1 + a * (y - a / 6)) - 1))
@@ -68,8 +68,8 @@ def rmse_interval(
     """Interval of the pooled RMSE from each replication's RMSE (N,) and number of accepted fixes
     (N,).
 
-    The root of the interval of the mean square, a ratio of means, whose linearised terms are taken
-    as `mean` does.
+    The interval is the square root of the interval of the mean square, a ratio of means, whose
+    linearised terms have the interval of `mean_interval`.
     """
     r = np.asarray(rmse, dtype=float)
     n = np.ones_like(r) if fixes is None else np.asarray(fixes, dtype=float)
@@ -83,8 +83,8 @@ def rmse_interval(
 
 
 def rate_interval(count: int, n: int, confidence: float = 0.95) -> Interval:
-    """Wilson's score interval of a proportion (that of scipy.stats.binomtest, which takes half a
-    second to import).
+    """Wilson's score interval of a proportion, equal to that of scipy.stats.binomtest, whose import
+    takes half a second.
     """
     if n == 0:
         return NOTHING
@@ -100,7 +100,7 @@ def quantile_interval(values: ArrayLike, probability: float, confidence: float =
     """Distribution-free interval of a quantile over replications (N,), between two order
     statistics.
 
-    It covers with at least `confidence` whatever the distribution; an end that no order statistic
+    The coverage is at least `confidence` for any distribution; an end that no order statistic
     reaches is infinite.
     """
     from scipy.stats import quantile_test
@@ -120,10 +120,10 @@ def cep_interval(
     """Interval of a quantile of all fixes' errors (R, T) m (NaN: no fix), whose independent units
     lie along `axis`.
 
-    Of horizontal errors this is the circular error probable, CEP50, CEP90, .. Axis 0: replications;
-    axis 1: positions that all replications share. Woodruff's: the interval of the share of fixes
-    below the estimate, a ratio of means over the units, is carried to errors by the empirical
-    quantile function.
+    For horizontal errors this is the circular error probable, CEP50, CEP90, .. Axis 0:
+    replications; axis 1: positions that all replications share. Woodruff's method: the empirical
+    quantile function maps the interval of the share of fixes below the estimate, a ratio of means
+    over the units, to errors.
     """
     e = np.moveaxis(np.atleast_2d(np.asarray(error, dtype=float)), axis, 0)
     there = np.isfinite(e)
@@ -139,7 +139,7 @@ def cep_interval(
 
 @dataclass(frozen=True)
 class Band:
-    """An empirical distribution function: shares (N,) of values up to x (N,), with a band."""
+    """An empirical distribution function with its band: shares (N,) of values up to x (N,)."""
 
     x: Array
     share: Array
@@ -180,8 +180,8 @@ def bootstrap(
 
     The arrays share that axis and are drawn together: paired. Axis 0 of (R,) or (R, T): whole
     replications; axis 1 of (R, P): whole positions that all replications share. Steps within a
-    replication are never drawn apart. For what has no interval of its own: `mean` and `rmse` cover
-    a little better, and at once.
+    replication are never separated. Use it for statistics without an interval of their own;
+    `mean_interval` and `rmse_interval` have a slightly better coverage and are faster.
     """
     from scipy import stats
 
@@ -208,11 +208,10 @@ def bootstrap(
 
 
 def holm(p_values: ArrayLike) -> Array:
-    """p-values (M,) adjusted for all M comparisons being looked at [Holm 1979]; NaN ones are no
-    comparisons.
+    """p-values (M,) adjusted for all M comparisons [Holm 1979]; NaN values are not counted.
 
-    To claim what is below 0.05 makes a false claim with probability 0.05 at most, however they
-    depend on each other.
+    If all differences with an adjusted p-value below 0.05 are claimed, the probability of a false
+    claim is at most 0.05 for any dependence between the comparisons.
     """
     p = np.asarray(p_values, dtype=float)
     adjusted = np.full(p.shape, math.nan)

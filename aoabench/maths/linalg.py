@@ -1,4 +1,4 @@
-"""Small systems of equations, many at once; a singular one does not stop the others."""
+"""Many small systems of equations at once; a singular one gives NaN and no exception."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from aoabench.maths.geometry import Array
 
-SINGULAR = 1e-12  # a pivot that lost more than this of its diagonal element
+SINGULAR = 1e-12  # least ratio of a pivot to its diagonal element
 
 
 def solve(A: Array, g: Array) -> Array:
@@ -32,7 +32,7 @@ def solve(A: Array, g: Array) -> Array:
 def cholesky(A: Array) -> Array:
     """Lower factor (R, n, n) of each A (R, n, n); NaN where A is not positive definite.
 
-    numpy's own raises for the whole stack when a single matrix is not.
+    numpy.linalg.cholesky raises for the whole stack if a single matrix is not positive definite.
     """
     try:
         return np.asarray(np.linalg.cholesky(A), dtype=float)

@@ -23,7 +23,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its Monte Carlo standard error (NaN where too few values tell)."""
+    """A number and its Monte Carlo standard error (NaN for too few values)."""
 
     value: float
     se: float
@@ -34,7 +34,7 @@ class Estimate:
         return self.value - half, self.value + half
 
     def __mul__(self, factor: float) -> Estimate:
-        """The estimate in another unit."""
+        """Value and standard error times a factor, for another unit."""
         return Estimate(factor * self.value, abs(factor) * self.se)
 
     __rmul__ = __mul__
@@ -76,7 +76,7 @@ def pooled_rmse(rmse: ArrayLike, fixes: ArrayLike | None = None) -> Estimate:
     """Root of the mean square over all fixes, from each replication's RMSE (N,) and number of
     accepted fixes (N,).
 
-    A ratio of means, so its standard error comes from the delta method over replications.
+    It is the root of a ratio of means; its standard error is by the delta method over replications.
     """
     r = np.asarray(rmse, dtype=float)
     n = np.ones_like(r) if fixes is None else np.asarray(fixes, dtype=float)
@@ -95,8 +95,8 @@ def pooled_rmse(rmse: ArrayLike, fixes: ArrayLike | None = None) -> Estimate:
 def quantile(values: ArrayLike, probability: float) -> Estimate:
     """Quantile over replications (N,) with the Maritz-Jarrett standard error.
 
-    That is the deviation, under the empirical distribution, of the order statistic nearest to the
-    quantile.
+    This error is the standard deviation, under the empirical distribution, of the order statistic
+    nearest to the quantile.
     """
     x = np.sort(finite(values))
     n = len(x)
@@ -139,8 +139,8 @@ def rate(count: int, n: int) -> Estimate:
 class Paired:
     """Mean of a - b over n paired replications; `percent` is 100 (mean a / mean b - 1).
 
-    `units` independent ones tell the standard errors: the replications, or the positions that these
-    share.
+    `units` is the number of independent units behind the standard errors: replications, or the
+    positions that replications share.
     """
 
     n: int
@@ -196,10 +196,10 @@ def paired(a: ArrayLike, b: ArrayLike, influences: tuple[Array, Array] | None = 
 
 
 def paired_rate(a: ArrayLike, b: ArrayLike) -> Paired:
-    """Paired comparison of what happened (N,) or not to two estimators in the same replications.
+    """Paired comparison of an event's occurrence (N,) for two estimators in the same replications.
 
     `percent` is the difference in percentage points, shrunken and with the error of [Bonett, Price
-    2012], whose Wald interval covers where few or none differ; the p-value is McNemar's exact one.
+    2012], whose Wald interval is valid if few or no pairs differ; the p-value is McNemar's exact.
     """
     from scipy.special import betainc
 
@@ -222,10 +222,10 @@ def paired_rate(a: ArrayLike, b: ArrayLike) -> Paired:
 def needed(
     pair: Paired, percent: float, comparisons: int = 1, level: float = 0.05, power: float = 0.8
 ) -> float:
-    """How many independent units (see Paired) would show a true difference of that many per cent.
+    """Number of independent units (see Paired) needed to detect a true difference of `percent`.
 
-    With probability `power`, at the two-sided `level` shared among that many comparisons; NaN where
-    nothing tells.
+    The detection probability is `power` at the two-sided `level` divided by `comparisons`; NaN if
+    the standard error is unknown.
     """
     from scipy.special import ndtri
 
@@ -247,8 +247,8 @@ def ratio_difference(
     """One ratio minus another of the same independent units (N,), standard error by the delta
     method.
 
-    Each ratio is a sum of numerators over a sum of denominators; what both share in a unit cancels
-    in the error.
+    Each ratio is a sum of numerators over a sum of denominators; the standard error takes the
+    dependence of both within a unit into account.
     """
     a, influence = _ratio(numerator, denominator)
     b, other_influence = _ratio(other, other_denominator)
@@ -261,8 +261,8 @@ def ratio_of_ratios(
     """One ratio over another of the same independent units (N,), standard error by the delta
     method.
 
-    Each ratio is a sum of numerators over a sum of denominators. NaN if the other one is not above
-    0.
+    Each ratio is a sum of numerators over a sum of denominators. NaN if the other ratio is not
+    above 0.
     """
     a, influence = _ratio(numerator, denominator)
     b, other_influence = _ratio(other, other_denominator)
@@ -285,9 +285,9 @@ def _ratio(numerator: ArrayLike, denominator: ArrayLike) -> tuple[float, Array]:
 def jackknife(x: ArrayLike, f: Callable[[Array], float], groups: int | None = None) -> Estimate:
     """f of all independent units x (N, ...), its standard error from leaving out one at a time.
 
-    With `groups`, unit i belongs to group i modulo `groups`, and one group is left out at a time:
-    for an f that is not smooth (a median), or many units. The error is NaN for a single unit, and
-    where f is NaN without one of the groups.
+    With `groups`, unit i belongs to group i modulo `groups`, and one group is left out at a time;
+    use it for an f that is not smooth (a median) and for many units. The error is NaN for a single
+    unit, and if f is NaN without one of the groups.
     """
     units = np.asarray(x)
     n = len(units) if groups is None else min(groups, len(units))

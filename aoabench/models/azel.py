@@ -38,7 +38,7 @@ class AzEl(Measurement):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Stated deviations, where it has none of its own."""
+        """Stated deviations, if the model has none of its own."""
         return frozenset({"stated_sigma"}) if self.sigma_deg is None else frozenset()
 
     def sigmas(self) -> tuple[float, float] | None:
@@ -84,16 +84,16 @@ class AzEl(Measurement):
         return into_state(local @ rotations_for(x, rotation), x.shape[-1])
 
     def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
-        """Variances (R, ..., 2B) rad^2: the nominal ones, whatever x."""
+        """Nominal variances (R, ..., 2B) rad^2, independent of x."""
         return self.covariance_of(self.predict(x, anchors), per_step(quality, x))
 
     def covariance_of(self, expected: Array, quality: Array) -> Array:
-        """Variances (R, ..., 2B) rad^2 where `predict` gave `expected`."""
+        """Variances (R, ..., 2B) rad^2 at angles `expected` (R, ..., 2B) rad from `predict`."""
         return quality
 
     def loglik(self, x: Array, anchors: Anchors, y: Array, quality: Array) -> Array:
-        """Log likelihood (R, ...): independent normals of the wrapped residuals; NaN components are
-        left out.
+        """Log likelihood (R, ...) of independent normals of the wrapped residuals; NaN components
+        are left out.
         """
         expected = self.predict(x, anchors)
         r = self.covariance_of(expected, per_step(quality, x))
@@ -104,7 +104,7 @@ class AzEl(Measurement):
 
 @dataclass(frozen=True)
 class AzElFitted(AzEl):
-    """AE model with the deviations fitted to the data's noise over uniform directions.
+    """AE model with deviations fitted to the noise over uniform directions.
 
     The paper prints a pair for sigma = 10 deg: 18 and 10 deg with Model I, 21 and 10 deg with Model
     II; erratum N12.
@@ -139,7 +139,7 @@ class AzElFitted(AzEl):
 
 
 def _calibration_of(noise: Noise | None) -> Calibration:
-    """The calibration of a noise; BadValue where it has none."""
+    """Return the calibration of a noise; raises BadValue if it has none."""
     found = noise.calibration if isinstance(noise, Noise) else None
     if found is None:
         raise BadValue("noise", type(noise).__name__, "an angular noise: ae_flip, ae_normal or vmf")
@@ -151,7 +151,7 @@ def adaptive_table(sigma: float) -> tuple[Array, Array]:
     """Deviations (azimuth, elevation), each (181,) rad, of Model I at -90, -89 ... 90 degrees
     [Nurminen 2018, Fig. 1].
 
-    `sigma` is the nominal deviation in rad; both are root mean squares about the truth.
+    `sigma` is the nominal deviation in rad; both results are root mean square errors.
     """
     grid = np.deg2rad(np.arange(-90.0, 91.0))
     return flipped_azimuth_std(grid, sigma), flipped_elevation_moments(grid, sigma)[1]
@@ -159,8 +159,9 @@ def adaptive_table(sigma: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class AzElAdaptive(AzEl):
-    """AE model whose deviations follow the elevation: Model I's, looked up in a table of one-degree
-    steps.
+    """AE model with Model I's deviations at the expected elevation.
+
+    The deviations are looked up in a table with steps of one degree.
     """
 
     noise: Noise | None = param(
@@ -178,7 +179,7 @@ class AzElAdaptive(AzEl):
         return frozenset()
 
     def nominal(self) -> float:
-        """The deviation in rad that the table is made for."""
+        """The nominal deviation in rad of the table."""
         if self.sigma_deg is not None:
             return math.radians(self.sigma_deg)
         return float(_calibration_of(self.noise).sigma)
@@ -188,15 +189,15 @@ class AzElAdaptive(AzEl):
         return self.nominal(), self.nominal()
 
     def covariance_of(self, expected: Array, quality: Array) -> Array:
-        """Variances (R, ..., 2B) rad^2 at the expected elevations, by the nearest degree; at NaN
-        those of 0.
+        """Variances (R, ..., 2B) rad^2 at the nearest degree of the expected elevations; a NaN
+        elevation counts as 0.
         """
         index = np.rint(np.rad2deg(expected[..., 1::2]) + 90.0)
         index = np.nan_to_num(index, nan=90.0).astype(np.intp)
         return interleave(tuple(table[index] for table in _adaptive_variances(self.nominal())))
 
     def variances(self) -> Array:
-        """The table (181, 2) rad^2 of azimuth's and elevation's variances at -90, -89 ... 90
+        """Table (181, 2) rad^2 of the variances of azimuth and elevation at -90, -89 ... 90
         degrees.
         """
         return np.stack(_adaptive_variances(self.nominal()), axis=-1)

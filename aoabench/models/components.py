@@ -10,7 +10,7 @@ from aoabench.maths.geometry import Array
 
 
 def interleave(parts: Sequence[Array]) -> Array:
-    """d arrays (..., B), one per kind of component, to one (..., B d) in anchor order."""
+    """Combine d arrays (..., B), one per type of component, into one (..., B d) in anchor order."""
     out = np.empty((*parts[0].shape, len(parts)))
     for i, part in enumerate(parts):
         out[..., i] = part
@@ -18,15 +18,15 @@ def interleave(parts: Sequence[Array]) -> Array:
 
 
 def into_state(block: Array, n: int) -> Array:
-    """Derivatives (..., B, d, 3) by the position to (..., B d, n) by the state, whose first three
-    are the position.
+    """Return derivatives (..., B d, n) by the state from derivatives (..., B, d, 3) by the
+    position, which is the first three components of the state.
     """
     J = block.reshape(*block.shape[:-3], -1, 3)
     return J if n == 3 else np.concatenate([J, np.zeros((*J.shape[:-1], n - 3))], axis=-1)
 
 
 def per_step(quality: Array, x: Array) -> Array:
-    """One step's values (R, m) made to broadcast against those of x (R, ..., n)."""
+    """Return one step's values (R, m) with axes of length 1 to broadcast with x (R, ..., n)."""
     return quality.reshape(quality.shape[0], *(1,) * (x.ndim - 2), quality.shape[1])
 
 
@@ -39,8 +39,8 @@ def over_measured(terms: Array, y: Array, x: Array) -> Array:
 
 
 def with_quality(y: Array, r: Array) -> tuple[Array, Array]:
-    """Values and variances (R, T, m); a value without a usable variance (NaN, not positive) counts
-    as not measured.
+    """Values and variances (R, T, m); a value whose variance is NaN or not positive counts as not
+    measured.
     """
     usable = np.isfinite(r) & (r > 0)
     return (y, r) if usable.all() else (np.where(usable, y, np.nan), np.where(usable, r, 1.0))

@@ -1,4 +1,4 @@
-"""Motion models that filters believe in."""
+"""Motion models of filters."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class RandomWalk(Motion):
 
 @dataclass(frozen=True)
 class ConstantAcceleration(Motion):
-    """s_k = F s_{k-1} + w, w ~ N(0, Q), of the state x, y, z, vx, vy, vz, ax, ay, az [Lu 2019,
+    """s_k = F s_{k-1} + w, w ~ N(0, Q), for the state x, y, z, vx, vy, vz, ax, ay, az [Lu 2019,
     (15), (19)].
 
     The acceleration is a Wiener process: the jerk is white in each direction.

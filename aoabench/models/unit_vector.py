@@ -1,5 +1,5 @@
-"""Unit-vector measurement model: von Mises-Fisher directions, normal with covariance I / kappa for
-Kalman filters.
+"""Unit-vector measurement model: von Mises-Fisher directions, which Kalman filters take as normal
+with covariance I / kappa.
 
 Components in anchor order: x, y, z of the unit vector in the frame of anchor 1, of anchor 2, ...
 """
@@ -33,7 +33,7 @@ class UnitVector(Measurement):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Elevations, and stated deviations where it has no kappa of its own."""
+        """Elevations, and stated deviations if the model has no kappa of its own."""
         return frozenset({"elevation"} | ({"stated_sigma"} if self.kappa is None else set()))
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
@@ -53,8 +53,8 @@ class UnitVector(Measurement):
         return with_quality(u, r)
 
     def predict(self, x: Array, anchors: Anchors) -> Array:
-        """Unit vectors (R, ..., 3B) towards positions x (R, ..., n); 0 where a position lies on its
-        anchor.
+        """Unit vectors (R, ..., 3B) towards positions x (R, ..., n); 0 for a position at the anchor
+        itself.
         """
         return interleave(_directions(x, anchors)[0])
 
@@ -75,7 +75,7 @@ class UnitVector(Measurement):
         )
 
     def covariance(self, x: Array, anchors: Anchors, quality: Array) -> Array:
-        """1 / kappa (R, ..., 3B), whatever x."""
+        """Variances 1 / kappa (R, ..., 3B), independent of x."""
         return per_step(quality, x)
 
     def loglik(self, x: Array, anchors: Anchors, y: Array, quality: Array) -> Array:
@@ -87,7 +87,7 @@ class UnitVector(Measurement):
 
 
 def _directions(x: Array, anchors: Anchors) -> tuple[tuple[Array, Array, Array], Array]:
-    """Unit vectors' components (R, ..., B) in the anchors' frames; distances (R, ..., B) m."""
+    """Components (R, ..., B) of unit vectors in the anchors' frames; distances (R, ..., B) m."""
     px, py, pz = in_frames(x[..., :3], *anchors.frames)
     distance = np.maximum(np.sqrt(px * px + py * py + pz * pz), 1e-12)
     return (px / distance, py / distance, pz / distance), distance

@@ -1,8 +1,8 @@
 """Angular noise: normal azimuth and elevation, the same flipped over the poles (Model I), von
 Mises-Fisher (Model II).
 
-Each knows its own calibration for the AE filters: `sigma` (nominal) and `fitted()` (over uniform
-directions).
+Each class returns its own deviations for the AE filters: `sigma` (nominal) and `fitted()` (over
+uniform directions).
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from aoabench.types import Anchors, Measurements
 
 @dataclass(frozen=True)
 class _Angular(MountedNoise):
-    """Angles of a nominal deviation sigma or concentration kappa = 1 / sigma^2, either derived from
-    the other [Nurminen 2018, (7)]; both at once raise BadValue.
+    """Angular noise with a nominal deviation sigma or a concentration kappa = 1 / sigma^2.
+
+    Each is derived from the other [Nurminen 2018, (7)]. Raises BadValue if both are given.
     """
 
     sigma_deg: float | None = param(
@@ -81,7 +82,7 @@ class _Angular(MountedNoise):
     def perturb(
         self, rng: np.random.Generator, azimuth: Array, elevation: Array
     ) -> tuple[Array, Array]:
-        """Noisy azimuth and elevation (...) rad of true ones (...) rad."""
+        """Noisy azimuth and elevation (...) rad from true azimuth and elevation (...) rad."""
         raise NotImplementedError
 
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
@@ -109,8 +110,8 @@ class _Angular(MountedNoise):
         """Root mean square residuals (azimuth, elevation) in rad over uniformly distributed
         directions.
 
-        They are the maximum-likelihood deviations of the AE model [Nurminen 2018, IV-A], here by
-        quadrature.
+        These are the maximum-likelihood deviations of the AE model [Nurminen 2018, IV-A], computed
+        by quadrature.
         """
         return _fitted(self)
 
@@ -123,17 +124,16 @@ class _Angular(MountedNoise):
     def information(self, point: Array, anchors: Anchors) -> Array:
         """Fisher information (..., 3, 3) 1/m^2 of one set of measurements at points (..., 3) m.
 
-        That of independent normal angles; wrapping and flipping are not seen as long as sigma is
-        small beside pi and beside the distance to the pole.
+        The angles are taken as independent normals. Wrapping and flipping are neglected, which is
+        valid if sigma is small compared with pi and with the angle to the pole.
         """
         return bounds.azel_information(point, anchors, self.sigma, self.sigma)
 
 
 @lru_cache(maxsize=64)
 def _fitted(noise: _Angular) -> tuple[float, float]:
-    # uniform directions have density cos(elevation); near the pole things change on the scale of
-    # sigma, so the panels
-    # of the quadrature end at 0, 1, 2 ... sigma from it
+    # uniform directions have density cos(elevation); near the pole the residuals change on the
+    # scale of sigma, so the panels of the quadrature end at 0, 1, 2 ... sigma from the pole
     edges = np.pi / 2 - noise.sigma * np.array([0.0, 0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 14])
     edges = np.concatenate([[0.0], edges[edges > 0][::-1]])
     node, weight = np.polynomial.legendre.leggauss(24)
@@ -146,7 +146,9 @@ def _fitted(noise: _Angular) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class NormalAngles(_Angular):
-    """Independent normals on azimuth (wrapped) and elevation (not flipped) [Nurminen 2018, (4)]."""
+    """Independent normal errors of azimuth (wrapped) and elevation (not flipped) [Nurminen 2018,
+    (4)].
+    """
 
     def perturb(
         self, rng: np.random.Generator, azimuth: Array, elevation: Array
@@ -161,8 +163,8 @@ class NormalAngles(_Angular):
 
 @dataclass(frozen=True)
 class FlippedAngles(_Angular):
-    """Model I: normals on azimuth and elevation, flipped so that each direction has one
-    representation.
+    """Model I: normal errors of azimuth and elevation, flipped over the poles so that each
+    direction has one representation.
     """
 
     printed_fit_deg: ClassVar = (18.0, 10.0)  # [Nurminen 2018, Table I]
@@ -201,8 +203,10 @@ class VonMisesFisher(_Angular):
 
 
 def _vmf_residual_rms(kappa: float, elevation: tuple[float, ...]) -> tuple[Array, Array]:
-    """By quadrature over the angle from the mean (its distribution function) and the turn around
-    it.
+    """Root mean square residuals (azimuth, elevation), each (N,) rad, at elevations (N,) rad.
+
+    Quadrature over the angle from the mean direction (by its distribution function) and the
+    rotation about the mean direction.
     """
     v, wv = np.polynomial.legendre.leggauss(200)
     v, wv = 0.5 * (v + 1.0), 0.5 * wv

@@ -1,4 +1,4 @@
-"""Anchors that are mounted in another orientation than is known."""
+"""Anchors whose true orientation differs from the known one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _mounting(axis: str) -> Any:
 
 @dataclass(frozen=True)
 class MountedNoise(Noise):
-    """A noise whose anchors may be mounted wrongly.
+    """A noise with errors of the anchors' known rotations.
 
     The errors are drawn once per replication for each anchor: yaw about its z axis, then pitch
     about its y axis, then roll about its x axis.
@@ -32,11 +32,11 @@ class MountedNoise(Noise):
     mounting_roll_deg: float = _mounting("x")
 
     def known_anchors(self, rng: np.random.Generator, scenario: Scenario) -> Anchors:
-        """The true anchors (1, T|1, B, ...), their rotations with this replication's errors."""
+        """The true anchors (1, T|1, B, ...) with this replication's errors of the rotations."""
         return self.mounted(rng, scenario.true_anchors)
 
     def mounted(self, rng: np.random.Generator, anchors: Anchors) -> Anchors:
-        """The anchors with errors of their rotations; without any, nothing is drawn."""
+        """The anchors with errors of their rotations; no draws if all deviations are 0."""
         deviation = np.deg2rad(
             [self.mounting_roll_deg, self.mounting_pitch_deg, self.mounting_yaw_deg]
         )

@@ -1,22 +1,21 @@
 """Angles and signal strengths of a Bluetooth room with multipath: a campaign's channel, then its
 packets.
 
-No published recording tells what made the errors of [Boquet 2024, 6.3]; this is a model with as
-many parameters as that section has symptoms, each in YAML. In the order in which they act on the
+No published recording shows the causes of the errors of [Boquet 2024, 6.3]. This model has one
+parameter in YAML for each effect described in that section. The effects act in this order on the
 true direction from an anchor:
 
-- wall images: a share of the packets of a day finds the channel `disturbed`, for all anchors at
-  once; each direction is then pulled towards that of the node's mirror image in one of the room's
-  walls, by an exponential fraction. Which wall, and how strongly, varies over the floor with the
-  correlation length, for each anchor in its own way;
-- a systematic elevation error: directions far from the anchor's pole come out too steep;
+- wall images: a share of the packets of a day is `disturbed`, for all anchors at once; each
+  direction is then pulled towards the node's mirror image in one of the room's walls, by an
+  exponential fraction. The wall and the strength vary over the floor with the correlation length,
+  independently for each anchor;
+- a systematic elevation error: directions far from the anchor's pole are measured too steep;
 - a bias field over the floor for each anchor and angle, Gaussian with a squared-exponential
   correlation;
 - an offset for each anchor, angle and day;
-- noise, whose azimuth part grows towards the pole, as that of a planar array does; and Laplace
-  outliers.
+- noise, whose azimuth part grows towards the pole as with a planar array, and Laplace outliers.
 
-Channel means: fields and offsets are drawn once for a replication, a campaign.
+A replication is one campaign: fields and offsets are drawn once per replication.
 """
 
 from __future__ import annotations
@@ -47,18 +46,21 @@ def _each_anchor(default: tuple[float, ...], help: str) -> Any:
 
 
 class _Channel(NamedTuple):
-    """What is drawn once for a campaign over P points, B anchors and D days."""
+    """Draws of one campaign over P points, B anchors and D days."""
 
     bias: Array  # (P, B, 2) rad, of azimuth and elevation
-    walls: Array  # (P, B, 4): the largest says which wall mirrors
+    walls: Array  # (P, B, 4): the wall with the largest value mirrors
     shade: Array  # (P, B), shadowing in units of its deviation
-    force: Array  # (P, B), logarithm of the pull in units of its spread
+    force: Array  # (P, B), logarithm of the pull in units of its deviation
     offset: Array  # (D, B, 2) rad, of azimuth and elevation
 
 
 @dataclass(frozen=True)
 class BleMultipath(MountedNoise):
-    """The model above; anchors and days beyond the end of a list take its last number."""
+    """Angles and signal strengths of a Bluetooth room with multipath.
+
+    Anchors and days beyond the end of a list take its last number.
+    """
 
     azimuth_noise_deg: float = param(
         3.0,
@@ -136,13 +138,13 @@ class BleMultipath(MountedNoise):
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """Azimuth, elevation (T, B) rad and rssi (T, B) dBm of true states (T, n).
 
-        The scenario's `day_of` says which day a step belongs to. Days beyond the list of
-        `disturbed`, and anchors beyond those of `bias_scale` and `pull`, take the last one's.
+        The scenario's `day_of` gives the day of each step. Days beyond the list `disturbed`, and
+        anchors beyond the lists `bias_scale` and `pull`, take the last number.
         """
         point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
         seat, day = seat.ravel(), scenario.day_of(len(truth))
         T, B = len(truth), scenario.true_anchors.count
-        # every draw is made whatever the parameters are, so that two settings are paired
+        # all draws are made for all parameters, so that two settings are paired
         channel = self._channel(rng, point, B, int(day.max()) + 1)
         hit = rng.random(T) < _each(self.disturbed, len(channel.offset))[day]
         spread = np.exp(self.pull_spread * channel.force)[seat]
@@ -200,8 +202,8 @@ class BleMultipath(MountedNoise):
         return lengths[0][..., 0], node, image
 
     def _fields(self, rng: np.random.Generator, point: Array, shape: tuple[int, int]) -> Array:
-        """Gaussian fields (P, *shape) of variance 1 at points (P, 3) m, correlated over the floor:
-        sums of waves.
+        """Gaussian fields (P, *shape) of variance 1 at points (P, 3) m, correlated over the floor,
+        as sums of plane waves.
         """
         wave = rng.standard_normal((*shape, 2, _WAVES)) / self.correlation_m
         phase = rng.uniform(0, 2 * np.pi, (*shape, 1, _WAVES))
@@ -226,5 +228,5 @@ class BleMultipath(MountedNoise):
 
 
 def _each(values: Sequence[float], count: int) -> Array:
-    """The values of `count` days or anchors; those beyond the list take its last."""
+    """The values (count,) of days or anchors; beyond the list its last value."""
     return np.array([values[min(i, len(values) - 1)] for i in range(count)])

@@ -7,9 +7,9 @@ II].
                  M = (N_u - 1) / 2
     angle        sigma^2 = 6 P_n / (L (L^2 - 1) P_e (pi cos a)^2)                     (8)
 
-with P_r the received power after beamforming and P_e = P_r / G_R that of one element: (8) counts
-the array's gain itself (erratum U6). The angle a off broadside is the azimuth for the azimuth, the
-elevation for the elevation (U5).
+with P_r the received power after beamforming and P_e = P_r / G_R the power at one element, because
+(8) already contains the array's gain (erratum U6). The angle a off broadside is the azimuth in the
+azimuth's deviation and the elevation in the elevation's deviation (U5).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from aoabench.roles import Scenario
 from aoabench.types import Anchors, Measurements
 
 PRINTED = ("gain",)  # errata that can be run as printed
-NEAREST = 1.0  # m; the path loss model does not know anything nearer
+NEAREST = 1.0  # m; the least distance of the path loss model
 
 
 def _level(default: float, help: str, unit: str) -> Any:
@@ -41,7 +41,7 @@ def _length(default: float, help: str) -> Any:
 
 @dataclass(frozen=True)
 class OfdmCrlb(MountedNoise):
-    """What access nodes (ANs) measure of a robot's pilots, and how well they are known themselves.
+    """Measurements of a robot's pilots by access nodes (ANs) with errors of their known positions.
 
     An AN's frame has its array's broadside as x and up as z. Errors of the known positions are
     drawn once per replication.
@@ -125,9 +125,7 @@ class OfdmCrlb(MountedNoise):
     # --- one replication --------------------------------------------------------------------------
 
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
-        """Measurements (T, B) of true states (T, n) by the ANs that the scenario lets report, NaN
-        elsewhere.
-        """
+        """Measurements (T, B) of true states (T, n); NaN if the AN does not hear the target."""
         anchors, points = scenario.true_anchors, truth[:, :3]
         shape = (len(points), anchors.count)
         heard = scenario.hears(points)
@@ -157,8 +155,8 @@ class OfdmCrlb(MountedNoise):
         return Measurements(**dense)
 
     def shadowing(self, rng: np.random.Generator, points: Array) -> Array:
-        """Shadow fading (T,) dB at positions (T, 3) m: normal; correlation exp(-distance /
-        shadowing_m) in steps.
+        """Shadow fading (T,) dB at positions (T, 3) m: normal, with correlation exp(-distance /
+        shadowing_m) from step to step.
         """
         e = rng.standard_normal(len(points))
         if self.shadowing_m > 0:
@@ -170,7 +168,7 @@ class OfdmCrlb(MountedNoise):
         return self.shadowing_db * e
 
     def known_anchors(self, rng: np.random.Generator, scenario: Scenario) -> Anchors:
-        """The ANs as the filters know them, (1, 1, B, ...): the true ones with this replication's
+        """The ANs (1, 1, B, ...) as known to the filters: the true ANs with this replication's
         errors [(9), (10)].
         """
         true = scenario.true_anchors

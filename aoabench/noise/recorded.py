@@ -1,4 +1,4 @@
-"""Measurements that a scenario brings along: nothing is drawn."""
+"""Measurements recorded in the scenario; nothing is drawn."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ from aoabench.types import Measurements
 
 @dataclass(frozen=True)
 class Recorded(Noise):
-    """The scenario's own recording; takes the place of the noise that a run names where the
-    scenario has one.
-    """
+    """The scenario's own recording; replaces the noise of a run if the scenario has a recording."""
 
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """The recorded measurements (T, B)."""
@@ -25,5 +23,5 @@ class Recorded(Noise):
         return scenario.recorded
 
     def offers(self) -> frozenset[str]:
-        """Nothing of its own: the scenario says what was measured."""
+        """Nothing: the scenario states its measurements."""
         return frozenset()

@@ -24,10 +24,10 @@ ZONES = ("strip", "disc", "ring", "none")
 class BsGrid(Scenario):
     """Points uniform over the box from 0 to `size_m`, the same in every replication.
 
-    `zone` keeps them from the base stations: `strip` wants |x - x_i| and |y - y_i| of at least
-    `clearance_m` for each, `disc` a horizontal distance of that much, `none` nothing; `ring` puts
-    each at exactly that horizontal distance from one of them, to look at the pole. There is no
-    motion and no prior: every fix stands alone.
+    `zone` keeps the points away from the base stations (x_i, y_i): `strip` requires |x - x_i| and
+    |y - y_i| of at least `clearance_m`, `disc` a horizontal distance of at least `clearance_m`,
+    `none` nothing. `ring` puts each point at a horizontal distance of exactly `clearance_m` from
+    one base station, to study the pole. Fixes are independent: no motion and no prior.
     """
 
     name: str = name_param()
@@ -48,15 +48,15 @@ class BsGrid(Scenario):
     )
     dt: float = dt_param(1.0)
     motion: None = param(None, "none: every fix stands alone")
-    shares_positions = True  # the positions belong to the seed, not to the replication
+    shares_positions = True  # the positions depend on the seed alone
 
     @cached_property
     def true_anchors(self) -> Anchors:
-        """The base stations as they are."""
+        """The true base stations (1, 1, B, ...)."""
         return self.anchors.known
 
     def truth(self, rng: np.random.Generator) -> Array:
-        """Positions (T, 3) m. Raises UserError where the zone leaves (almost) no room."""
+        """Positions (T, 3) m; raises UserError if the zone leaves (almost) no area."""
         size, stations = np.array(self.size_m), self.true_anchors.position[0, 0]
         if self.zone == "ring":
             around = stations[rng.integers(len(stations), size=self.positions)]
@@ -80,7 +80,7 @@ class BsGrid(Scenario):
         return kept[: self.positions]
 
     def allowed(self, points: Array) -> np.ndarray:
-        """Which of the points (N, 3) m the zone admits (N,)."""
+        """Mask (N,) of the points (N, 3) m inside the zone."""
         d = np.abs(points[:, None, :2] - self.true_anchors.position[0, 0, None, :, :2])
         far = {"strip": d.min(axis=-1), "disc": np.hypot(d[..., 0], d[..., 1])}
         return (

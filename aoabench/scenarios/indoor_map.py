@@ -32,15 +32,14 @@ def _prior_sigma(default: float, help: str, unit: str) -> Any:
 
 @dataclass(frozen=True)
 class IndoorMap(Scenario):
-    """One trial: the route once, at constant horizontal speed, its corners rounded to arcs, its
-    height linear.
+    """One trip along a route at constant horizontal speed, with corners rounded to arcs.
 
-    The files of anchors and walls are described in `devices.plan`. Of the ANs in line of sight
-    (seen from above) the network reports the nearest, by true distance, which are also the
-    strongest. Filters start from a mean drawn around the true start (position) or zero (velocity,
-    acceleration). With `truth_from: model` there is no route to follow: the true states are drawn
-    from the prior, at the first waypoint, and from `motion`, so that everything a filter believes
-    is true.
+    The height is linear along the route. `devices.plan` describes the files of anchors and walls.
+    Of the ANs in line of sight (seen from above) the network reports the nearest by true distance,
+    which are also the strongest. Filters start from a mean position drawn around the true start,
+    and from velocity and acceleration 0. With `truth_from: model` the route is not followed: the
+    true states are drawn from the prior at the first waypoint and from `motion`, so that the
+    filters' model is exact.
     """
 
     name: str = name_param()
@@ -105,7 +104,7 @@ class IndoorMap(Scenario):
             raise BadValue("steps", self.steps, "null with truth_from=route, whose length decides")
         if len(self.motion.matrices(self.dt)[0]) != 9:
             raise BadValue("motion", self.motion, STATE)
-        # reads the files, so that mistakes in them are reported now
+        # read the files now, so that mistakes in them are reported at construction
         _ = (self._path, self.true_anchors, self.wall_segments)
         if not 1 <= self.route_steps <= MOST_STEPS:
             allowed = (
@@ -125,8 +124,8 @@ class IndoorMap(Scenario):
 
     @cached_property
     def true_anchors(self) -> Anchors:
-        """The ANs (1, B, ...); local x looks along the array's broadside, y horizontally left of
-        it, z up.
+        """The true ANs (1, 1, B, ...); local x points along the array's broadside, y horizontally
+        to its left, z up.
         """
         return plan.read_anchors("anchors", self.files[0])
 
@@ -145,14 +144,14 @@ class IndoorMap(Scenario):
         return self._walls[1]
 
     def line_of_sight(self, points: Array) -> np.ndarray:
-        """Which ANs each point (N, 3) m sees (N, B): no wall crosses the straight way, seen from
-        above.
+        """Mask (N, B) of the ANs in line of sight of each point (N, 3) m: no wall crosses the
+        straight line, seen from above.
         """
         return self._route_sight if self._is_route(points) else self._sight(points)
 
     def hears(self, points: Array) -> np.ndarray:
-        """Which ANs report of a target at each point (N, 3) m (N, B): of those in line of sight the
-        nearest.
+        """Mask (N, B) of the ANs that report a target at each point (N, 3) m: the nearest of the
+        ANs in line of sight.
         """
         return (
             self._route_reported
@@ -164,7 +163,7 @@ class IndoorMap(Scenario):
         return plan.in_sight(points, self.true_anchors.position[0, 0], self.wall_segments)
 
     def _nearest(self, points: Array, seen: np.ndarray) -> np.ndarray:
-        """`seen` (N, B) without all but the nearest; of equally near ones the first in the file."""
+        """Mask (N, B) of the nearest ANs in `seen` (N, B); ties go to the first in the file."""
         B = seen.shape[1]
         if self.nearest is None or self.nearest >= B:
             return seen
@@ -179,8 +178,8 @@ class IndoorMap(Scenario):
         return chosen & seen
 
     def _is_route(self, points: Array) -> bool:
-        """Whether these are the route's points, whose tables are kept: they are the same in every
-        replication.
+        """Whether `points` are the route's, which are the same in every replication and whose
+        tables are cached.
         """
         return self.truth_from == "route" and np.array_equal(points, self._route_truth[:, :3])
 
@@ -192,7 +191,7 @@ class IndoorMap(Scenario):
     def _route_reported(self) -> np.ndarray:
         return self._nearest(self._route_truth[:, :3], self._route_sight)
 
-    # --- the way ----------------------------------------------------------------------------------
+    # --- the route --------------------------------------------------------------------------------
 
     @cached_property
     def _path(self) -> RoundedRoute:
@@ -200,14 +199,12 @@ class IndoorMap(Scenario):
 
     @cached_property
     def route_steps(self) -> int:
-        """Steps of dt s that fit on the route."""
+        """Number of steps of dt s that fit on the route."""
         return math.floor(self._path.length / (self.speed_m_s * self.dt) + 1e-9)
 
     @cached_property
     def _route_truth(self) -> Array:
-        """Position m, velocity m/s and acceleration m/s^2 (T, 9) along the route, from the first
-        step on.
-        """
+        """Position m, velocity m/s and acceleration m/s^2 (T, 9) on the route after each step."""
         arc: Array = self.speed_m_s * self.dt * np.arange(1.0, self.route_steps + 1)
         position, ahead, curvature = self._path.at(arc)
         left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
@@ -223,7 +220,7 @@ class IndoorMap(Scenario):
         if self.truth_from == "route":
             return self._route_truth.copy()
         F, Q = self.motion.matrices(self.dt)
-        scale = np.sqrt(np.diag(Q))  # the powers of dt, so that the root is good for any dt
+        scale = np.sqrt(np.diag(Q))  # powers of dt, so that the root is accurate for any dt
         root = scale[:, None] * np.linalg.cholesky(Q / np.outer(scale, scale))
         truth = np.empty((self.steps or self.route_steps, 9))
         state = self._start + self._prior_sigma * rng.standard_normal(9)
@@ -247,8 +244,8 @@ class IndoorMap(Scenario):
     def prior(self, rng: np.random.Generator, truth: Array) -> tuple[Array, Array]:
         """Mean (9,) and covariance (9, 9) of the state before the first step, in m, m/s and m/s^2.
 
-        On the route the position's mean is drawn around the true start, velocity and acceleration
-        are taken as 0. Drawn from the model, the truth varies around the mean instead.
+        On the route, the position's mean is drawn around the true start, and the means of velocity
+        and acceleration are 0. With `truth_from: model`, the truth varies around a fixed mean.
         """
         mean = self._start.copy()
         if self.truth_from == "route":

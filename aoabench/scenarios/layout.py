@@ -1,4 +1,4 @@
-"""Anchor layouts as a scenario's YAML gives them."""
+"""Anchor layouts in a scenario's YAML."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from aoabench.types import Anchors
 
 @dataclass(frozen=True)
 class AnchorLayout(CheckedParams):
-    """B anchors. `frame_rpy_deg` is a rotation G of all their frames: R_j becomes G R_j."""
+    """B anchors; `frame_rpy_deg` is a rotation G of all anchor frames: R_j becomes G R_j."""
 
     position_m: Sequence[Sequence[float]] = param(
         help="positions, a row for each anchor", unit="m", shape=(None, 3)

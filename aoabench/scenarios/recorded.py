@@ -1,6 +1,6 @@
-"""A user's own recording: measurements, and ground truth if there is any, from a long table.
+"""A user's own recording: measurements and, if recorded, ground truth from a long table.
 
-`devices.log` turns its columns into our conventions.
+`devices.log` converts its columns to aoabench's conventions.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def _column(help: str, default: str) -> Any:
 
 @dataclass(frozen=True)
 class Columns(CheckedParams):
-    """What the file calls our columns. It must have azimuth, anchor, and fix or time. Where an
-    angle is empty, it was not measured.
+    """Names of the columns in the file. The columns azimuth, anchor, and fix or time are required.
+    An empty angle was not measured.
     """
 
     azimuth: str | None = _column("azimuths", "azimuth_deg or azimuth_rad")
@@ -60,13 +60,12 @@ class Columns(CheckedParams):
 
 @dataclass(frozen=True)
 class Recorded(Scenario):
-    """One recording: T fixes in order of their times, or of their first appearance where the file
-    numbers them. Nothing is drawn: there is one replication, no motion, no prior.
+    """One recording of T fixes: one replication, nothing is drawn, no motion and no prior.
 
-    CSV has a header, commas and decimal points. The file of anchors has the columns id, x_m, y_m,
-    and where they are not 0: z_m, facing_deg, pitch_deg, roll_deg. The last three turn the anchor's
-    axes by Rz(facing) Ry(pitch) Rx(roll): facing counter-clockwise from the global +x, pitch > 0
-    down.
+    Fixes are in order of their times, or of their first appearance if the file numbers them. CSV
+    has a header, commas and decimal points. The file of anchors has the columns id, x_m, y_m and,
+    where not 0, z_m, facing_deg, pitch_deg, roll_deg. The last three turn the anchor's axes by
+    Rz(facing) Ry(pitch) Rx(roll): facing counter-clockwise from the global +x, pitch > 0 down.
     """
 
     name: str = name_param()
@@ -183,7 +182,7 @@ class Recorded(Scenario):
                 raise BadValue(
                     "bounds_m", self.bounds_m, "the lower corner, then the upper one, or null"
                 )
-        z = self._log.truth[:, 2]  # reads the files, so that mistakes in them are reported now
+        z = self._log.truth[:, 2]  # reads the files: mistakes are reported at construction
         z = z[np.isfinite(z)]
         if self.height_m is None and len(z) and np.ptp(z) < 1e-3:
             object.__setattr__(self, "height_m", float(np.median(z)))
@@ -208,34 +207,34 @@ class Recorded(Scenario):
 
     @property
     def recorded(self) -> Measurements:
-        """What was measured (T, B), in our conventions."""
+        """The recorded measurements (T, B), in aoabench's conventions."""
         return self._log.measured
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Lines about what was found in the files."""
+        """Remarks on the files, to print."""
         return self._log.notes
 
     @property
     def known_height_m(self) -> float | None:
-        """`height_m`, or the one height that all true positions have."""
+        """`height_m`, or the height in m if all true positions have the same one, else None."""
         return self.height_m
 
     @cached_property
     def true_anchors(self) -> Anchors:
-        """The anchors (1, B, ...); their axes are the global ones where the angles are."""
+        """The anchors (1, 1, B, ...); with the global axes if the angles are global."""
         anchors = self._anchors[1]
         own = self.frame == "own" and self.measured_by == "anchor"
         upright = np.zeros_like(anchors.rotation) + np.eye(3)
         return anchors if own else Anchors(anchors.position, upright)
 
     def truth(self, rng: np.random.Generator) -> Array:
-        """Positions (T, 3) m, NaN where they are not known."""
+        """Positions (T, 3) m, NaN where unknown."""
         return self._log.truth
 
     @cached_property
     def _anchors(self) -> tuple[list[str], Anchors]:
-        """The anchors' ids, as texts, and where they are."""
+        """The anchors' ids as strings, and the anchors (1, 1, B, ...)."""
         if isinstance(self.anchors, AnchorLayout):
             B = len(self.anchors.position_m)
             ids = list(map(str, range(1, B + 1) if self.anchor_ids is None else self.anchor_ids))
@@ -278,7 +277,7 @@ class Recorded(Scenario):
         return log.Log(truth, Measurements(**arrays), tuple(notes))
 
     def _chosen(self) -> dict[str, str]:
-        """Our names -> the file's, of the columns to read."""
+        """Map from aoabench's column names to the file's, for the columns to read."""
         heading = {"heading"} if self._conventions.needs_heading else set()
         unused = {"heading"} - heading
         unused |= {"elevation", "elevation_sigma"} if self.elevation_kind == "none" else set()

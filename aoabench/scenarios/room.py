@@ -1,5 +1,6 @@
-"""A room at whose reference points a node sends packets: one fix for each packet [Boquet 2024,
-6.4].
+"""A node that sends packets at reference points of a room; one fix per packet [Boquet 2024, 6.4].
+
+A replication is a measurement campaign.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from aoabench.types import Anchors
 class Room(Scenario):
     """A box from 0 to `size_m` with reference points, each visited for some packets.
 
-    A replication is one campaign: every packet of every point, point by point. There is no motion
-    and no prior; estimators know the height and the room's sides.
+    A replication is one campaign: all packets of the first point, then of the second, and so on.
+    The scenario has no motion and no prior. Estimators know the height and the room's sides.
     """
 
     name: str = name_param()
@@ -58,12 +59,12 @@ class Room(Scenario):
 
     @cached_property
     def true_anchors(self) -> Anchors:
-        """The anchors as they are."""
+        """The true anchors (1, 1, B, ...)."""
         return self.anchors.known
 
     @property
     def bounds_m(self) -> Array:
-        """Lower and upper corner (2, 2) m of where the node can be."""
+        """Lower and upper corner (2, 2) m of the node's area."""
         return np.array([[0.0, 0.0], self.size_m[:2]])
 
     @property

@@ -15,8 +15,8 @@ from aoabench.maths.geometry import Array, wrap
 class RoundedRoute:
     """Pieces of constant curvature, P straight lines and arcs in turn.
 
-    start (P, 2) m, heading (P,) rad at the start, counter-clockwise from +x, curvature (P,) 1/m, >
-    0 to the left, begin (P,) m along the route, length m of the whole.
+    start (P, 2) m and heading (P,) rad (counter-clockwise from +x) at the start of each piece;
+    curvature (P,) 1/m, > 0 to the left; begin (P,) m along the route; length m of the whole route.
     """
 
     start: Array
@@ -77,8 +77,8 @@ class RoundedRoute:
 
 
 def _check_radius(radius_m: float, cut: Array, lengths: Array) -> None:
-    """Raise BadValue where the corners of a leg cut off more than its length; `cut` per m of
-    radius.
+    """Raise BadValue if the corners of a leg cut off more than its length; `cut` is the length cut
+    off each leg per m of radius.
     """
     if not np.any(radius_m * cut > lengths + 1e-9):
         return

@@ -1,4 +1,4 @@
-"""The square track: one lap past anchors whose poles look along two of its sides [Nurminen 2018,
+"""One lap of a square track past anchors whose poles point along two of its sides [Nurminen 2018,
 IV-D].
 """
 
@@ -50,7 +50,7 @@ class SquareTrack(Scenario):
 
     @cached_property
     def true_anchors(self) -> Anchors:
-        """The anchors as they are."""
+        """The true anchors (1, 1, B, ...)."""
         return self.anchors.known
 
     def step_length(self) -> tuple[float, float]:
