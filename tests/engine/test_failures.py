@@ -3,7 +3,7 @@ it stops the cell.
 """
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,7 @@ import pytest
 import aoabench
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner, tiles
+from aoabench.roles import Estimator
 
 PLUGIN = '''
 from dataclasses import dataclass
@@ -213,13 +214,14 @@ def test_a_bad_value_that_shows_in_a_worker_is_the_users_mistake_there_too(tmp_p
 
 
 @dataclass(frozen=True)
-class Picky:
+class Picky(Estimator):
     """Raises on the 5th replication of each tile of 8; sees anchors that differ between
     replications.
     """
 
     inner: Any
-    tile: ClassVar[int] = 8
+    tile = 8
+    needs = frozenset()
 
     def __call__(self, batch, scenario, streams):
         if {r % 8 for r in streams.replications} & {5}:
