@@ -381,7 +381,7 @@ class AlwaysTheMiddle:
 
     def __call__(self, batch, scenario, streams):
         R, T, _ = batch.azimuth.shape
-        position = np.tile(batch.anchors.position.mean(axis=(0, 1)) + self.shift_m, (R, T, 1))
+        position = np.tile(batch.anchors.position.mean(axis=(0, 1, 2)) + self.shift_m, (R, T, 1))
         outcome = np.zeros((R, T), dtype=np.int8)
         outcome[:, 0] = aoabench.Outcome.FAILED
         position[:, 0] = np.nan
