@@ -208,44 +208,23 @@ def fuse(M, n, e):
     return x0 + xx * gx + xy * gy, y0 + xy * gx + yy * gy, xx, xy, yy
 
 
-@inlined
-def voted(intersection, ties, n, e, masks, sets, points, number, order, t):
-    """The set of ellipses e (8, n) to fuse, -1 for all, and how many sets are as large."""
-    M, found = -1, 1
-    if intersection == BOXES:
-        found = common_boxes(n, e, masks, sets)
-    elif intersection == EXACT:
-        found = common_ellipses(n, e, masks[0], sets, points, number)
-    if intersection != NO_VOTE and found > 0:
-        M = sets[0]
-        if found > 1 and ties == AREA:
-            best = -1.0
-            for l in range(found):
-                if intersection == BOXES:
-                    ratio = box_ratio(sets[l], n, e, order, t)
-                else:
-                    ratio = area_ratio(sets[l], n, e, points, number, order, t)
-                if ratio > best + EVEN:
-                    best, M = ratio, sets[l]
-    return M, found
-
-
-@kernel(
-    types.void(
-        types.intp,
-        types.intp,
-        types.intp,
-        types.float64,
-        given(1),
-        types.float64,
-        *(given(d) for d in (2, 2, 2, 3)),
-        types.float64,
-        types.float64[:, ::1],
-        types.float64[:, :, ::1],
-        types.int8[::1],
-        types.float64[::1],
-    )
+ARGUMENTS = (
+    types.intp,
+    types.intp,
+    types.intp,
+    types.float64,
+    given(1),
+    types.float64,
+    *(given(d) for d in (2, 2, 2, 3)),
+    types.float64,
+    types.float64[:, ::1],
+    types.float64[:, :, ::1],
+    types.int8[::1],
+    types.float64[::1],
 )
+
+
+@kernel(types.void(*ARGUMENTS))
 def discrepancy(
     centre,
     intersection,
@@ -275,11 +254,8 @@ def discrepancy(
     V = min(J, MOST)
     block, e = np.empty((J, 8, BLOCK)), np.empty((8, J))
     angles = np.empty((2, BLOCK))
-    masks, sets, order = (
-        np.empty((2, V), np.int64),
-        np.empty(2 * V * V + 1, np.int64),
-        np.empty(J, np.int64),
-    )
+    masks, sets = np.empty((2, V), np.int64), np.empty(2 * V * V + 1, np.int64)
+    order = np.empty(J, np.int64)
     points, number, t = np.empty((2, V, V, 4)), np.empty((V, V), np.int64), np.empty(4 * V + 2)
     for start in range(0, N, BLOCK):
         size = min(BLOCK, N - start)
@@ -296,7 +272,22 @@ def discrepancy(
                     for l in range(8):
                         e[l, n] = block[j, l, k]
                     n += 1
-            M, found = voted(intersection, ties, n, e, masks, sets, points, number, order, t)
+            M, found = -1, 1
+            if intersection == BOXES:
+                found = common_boxes(n, e, masks, sets)
+            elif intersection == EXACT:
+                found = common_ellipses(n, e, masks[0], sets, points, number)
+            if intersection != NO_VOTE and found > 0:
+                M = sets[0]
+                if found > 1 and ties == AREA:
+                    best = -1.0
+                    for l in range(found):
+                        if intersection == BOXES:
+                            ratio = box_ratio(sets[l], n, e, order, t)
+                        else:
+                            ratio = area_ratio(sets[l], n, e, points, number, order, t)
+                        if ratio > best + EVEN:
+                            best, M = ratio, sets[l]
             i = start + k
             position[i, :] = math.nan
             covariance[i, :, :] = math.nan
