@@ -165,7 +165,7 @@ def bearing_of(s):
     m, a = s.recorded, s.true_anchors
     e = np.where(np.isfinite(m.elevation), m.elevation, 0.0)
     u = np.stack([np.cos(m.azimuth) * np.cos(e), np.sin(m.azimuth) * np.cos(e), np.sin(e)], axis=-1)
-    return (u[..., None, :] @ a.rotation)[..., 0, :]
+    return (u[..., None, :] @ a.rotation[0])[..., 0, :]
 
 
 def degrees(u):
