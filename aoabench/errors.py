@@ -14,10 +14,13 @@ import numpy as np
 from aoabench.maths.geometry import Array
 
 
-def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """'; did you mean X?' for a misspelt word, else ''; `cutoff` is the least similarity (0..1)."""
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6, path: str = "") -> str:
+    """'; did you mean X?' for a misspelt word, else ''; `cutoff` is the least similarity (0..1).
+
+    `path` stands before the name that is proposed.
+    """
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
-    return f"; did you mean {close[0]!r}?" if close else ""
+    return f"; did you mean {path + close[0]!r}?" if close else ""
 
 
 def shorten(text: str, most: int = 200) -> str:

@@ -194,10 +194,8 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
             raise BadValue(path, node, "keys " + ", ".join(known))
         for key in node:
             if key not in known:
-                raise UserError(
-                    f"{path}.{key}: unknown key"
-                    f"{did_you_mean(key, known) or '; allowed: ' + ', '.join(known)}"
-                )
+                hint = did_you_mean(key, known, path=f"{path}.") or f"; allowed: {', '.join(known)}"
+                raise UserError(f"{path}.{key}: unknown key{hint}")
         nodes[path] = node
     if "out" not in nodes["runner"]:
         raise UserError("runner.out: missing; allowed: the path of a folder")

@@ -76,7 +76,7 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
         if key == "_target_":
             continue
         if key not in known:
-            hint = did_you_mean(str(key), known)
+            hint = did_you_mean(str(key), known, path=f"{path}.")
             raise UserError(f"{path}.{key}: unknown key{hint or '; allowed: ' + ', '.join(known)}")
         arguments[key] = construct(value, f"{path}.{key}", plugins)
     missing = [

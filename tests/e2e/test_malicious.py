@@ -4,6 +4,7 @@ from disk."""
 
 import json
 import pickle
+from dataclasses import replace
 
 import pytest
 
@@ -12,6 +13,7 @@ from aoabench.cli.main import main
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.engine.replay import replay
+from aoabench.engine.replay_files import write
 from aoabench.store import folder
 
 HIT = "{_target_: os.system, command: touch HIT}"
@@ -172,8 +174,10 @@ def test_a_run_folder_from_elsewhere_cannot_name_files(finished, tmp_path):
     frame = next((out / "replications.parquet").glob("*.parquet"))
     with pytest.raises(IndexError):  # it has no such rows
         replay(out, 1, name)
+    write(replace(replay(out, 1, "ekf_vmf"), estimator=name))
     assert not list(tmp_path.glob("outside*"))
-    assert [p.name for p in (out / "replay").iterdir()] == [f"{cell}-_._.._.._outside-1.parquet"]
+    stem = f"{cell}-_._.._.._outside-1"
+    assert {p.name for p in (out / "replay").iterdir()} == {f"{stem}.parquet", f"{stem}.png"}
     rewritten(out, lambda record: record.update(cell="../../outside"))
     assert folder.records(out) == [], "it does not belong to its file"
     rewritten(
@@ -206,4 +210,6 @@ def test_nothing_is_unpickled(tmp_path, monkeypatch):
     ]
     for reps in (5, 9):
         assert len(aoabench.run(*words, f"reps={reps}", out=tmp_path)) == reps
-    assert "as stored" in replay(tmp_path, 7, "ekf_vmf")
+    again = replay(tmp_path, 7, "ekf_vmf")
+    assert again.as_stored
+    assert "as stored" in write(again)
