@@ -12,7 +12,7 @@ KERNELS := tests/contracts tests/kernels $(addprefix tests/theory/test_,$(addsuf
 PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; raise SystemExit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
 
-.PHONY: help setup reproduce-figures report test test-processors lint bench notebooks lock clean
+.PHONY: help setup reproduce-figures report test test-processors test-avx2 test-sse2 lint bench notebooks lock clean
 
 help:
 	@echo "make reproduce-figures [SCALE=quick|paper] [STUDY=nurminen2018]   tables, figures, page and verdicts"
@@ -44,9 +44,13 @@ report: $(READY)
 test: $(READY)
 	@$(BIN)/python -m pytest
 
-test-processors: $(READY)
-	NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma $(BIN)/python -m pytest $(KERNELS)
-	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=+sse2 $(BIN)/python -m pytest $(KERNELS)
+test-processors: test-avx2 test-sse2
+
+test-avx2: $(READY)
+	NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma $(BIN)/python -m pytest -p no:cacheprovider $(KERNELS)
+
+test-sse2: $(READY)
+	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=+sse2 $(BIN)/python -m pytest -p no:cacheprovider $(KERNELS)
 
 lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
