@@ -5,9 +5,10 @@ STUDY   ?=
 VENV    := .venv
 BIN     := $(VENV)/bin
 READY   := $(VENV)/.ready
-# Tests that compare kernels with NumPy, and those of every preset
-KERNELS := tests/contracts tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes covariances \
-	discrepancy kalman_kernels particle_kernels snapshot))
+# What a processor's vector features may change: kernels against their references, every estimator's contract
+AVX2 := +avx2,+fma
+KERNEL_TESTS := tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes covariances discrepancy kalman \
+	kalman_kernels particle_kernels snapshot)) tests/contracts/test_presets.py
 # The first interpreter that is new enough, unless the caller names one: make PYTHON=/usr/bin/python3.12
 PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; raise SystemExit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
@@ -46,11 +47,18 @@ test: $(READY)
 
 test-processors: test-avx2 test-sse2
 
+# $(call as_on,processor,its features for numba,its name for OpenBLAS,NumPy's features to leave out)
+define as_on
+	NUMBA_CPU_NAME=$(1) NUMBA_CPU_FEATURES=$(2) OPENBLAS_CORETYPE=$(3) NPY_DISABLE_CPU_FEATURES="$$($(BIN)/python -c 'import re; \
+		from numpy import show_config as c; print(*[f for f in c("dicts")["SIMD Extensions"].get("found", []) if re.search("$(4)", f)])')" \
+		$(BIN)/python -m pytest -m "not slow" -p no:cacheprovider $(KERNEL_TESTS)
+endef
+
 test-avx2: $(READY)
-	NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma $(BIN)/python -m pytest -p no:cacheprovider $(KERNELS)
+	$(call as_on,haswell,$(AVX2),Haswell,512|V4)
 
 test-sse2: $(READY)
-	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=+sse2 $(BIN)/python -m pytest -p no:cacheprovider $(KERNELS)
+	$(call as_on,generic,+sse2,Prescott,.)
 
 lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy

@@ -1,7 +1,6 @@
 """The compiled particle filter: polynomials, random numbers, likelihoods, resampling and whole laps
 against slow double precision; the machine code that it became."""
 
-import os
 import re
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from aoabench.roles import Scenario
 from aoabench.store import keys
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch
+from tests.theory.assembly import assembly, vector_registers
 
 numba = pytest.importorskip("numba")
 K, LIKELIHOOD, PHILOX, SINGLE, SMALL = (
@@ -522,32 +522,12 @@ def test_the_machine_code_is_vectorised(tmp_path):
     """Loops over particles work on whole vector registers and call nothing, where the CPU has AVX2
     or better.
     """
-    import llvmlite.binding as llvm
-
-    stated = os.environ.get("NUMBA_CPU_FEATURES", "").split(",")  # in place of this machine's
-    features = {f[1:]: f[0] == "+" for f in stated if f} or llvm.get_host_cpu_features()
-    if not features.get("avx2"):
-        pytest.skip("no AVX2")
-    script = (
-        "from aoabench.kernels.particle import lap, normals\n"
-        "from aoabench.kernels.particle_likelihood import loglik\n"
-        "for name, f in (('normals', normals), ('loglik', loglik), ('lap', lap)):\n"
-        "    print('KERNEL', name)\n    print(*f.inspect_asm().values())\n"
-    )
-    environment = {
-        **os.environ,
-        "NUMBA_CACHE_DIR": str(tmp_path),
-    }  # the cache keeps no assembly: compile again
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
-    )
-    wide = "zmm" if features.get("avx512f") and not features.get("prefer-256-bit") else "ymm"
-    for text in done.stdout.split("KERNEL ")[1:]:
-        name = text.split(None, 1)[0]
+    kernels = ("philox.normals", "particle_likelihood.loglik", "particle.lap")
+    for name, text in assembly(kernels, tmp_path).items():
         arithmetic = r"\bv(?:f?n?m(?:add|sub)\w*|add|sub|mul|div|sqrt)"
         packed = len(re.findall(arithmetic + r"ps\s.*%[yz]mm", text))
         scalar = len(re.findall(arithmetic + r"ss\s", text))
-        assert f"%{wide}" in text, name
+        assert f"%{vector_registers()}" in text, name
         # each loop has its vector version; the scalar one beside it is for arrays that overlap
         assert packed >= max(scalar, 40), (name, packed, scalar)
         assert not LIBM.findall(text), name
