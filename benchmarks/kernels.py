@@ -21,10 +21,9 @@ CALLS = 100  # of a piece, as one of them takes microseconds
 
 def generality(repeats: int) -> Iterator[Row]:
     """Cost of any number of anchors and particles against a likelihood written for four anchors."""
-    K = loading.load("kernels.particle")
-    if K is None:
+    if loading.load("kernels.particle") is None:
         return
-    actions = _pieces(K)
+    actions = pieces()
     ns = {
         name: 1e9 * seconds / CALLS / PARTICLES
         for name, seconds in in_turn(actions, repeats).items()
@@ -43,16 +42,24 @@ def generality(repeats: int) -> Iterator[Row]:
     yield Row("cost of generality", "4 anchors", more, "%", "", how)
 
 
-def _pieces(K: Any) -> dict[str, Callable[[], Any]]:
+def pieces() -> dict[str, Callable[[], Any]]:
     """The pieces of a particle-step, each called CALLS times, and last the likelihood for four
     anchors.
     """
+    from aoabench.kernels import particle, particle_likelihood, philox, small
+
     rng = np.random.default_rng(0)
-    M = -(-PARTICLES // K.TILE) * K.TILE
+    M = -(-PARTICLES // philox.TILE) * philox.TILE
     particles = rng.standard_normal((3, M)).astype(np.float32)
     x, y, z = particles
-    terms, out = rng.random((4, K.TERMS), dtype=np.float32), np.empty(M, dtype=np.float32)
-    table, w = np.ones(2 * K.PAIRS, dtype=np.float32), rng.random(M, dtype=np.float32)
+    terms, out = (
+        rng.random((4, particle_likelihood.TERMS), dtype=np.float32),
+        np.empty(M, dtype=np.float32),
+    )
+    table, w = (
+        np.ones(2 * particle_likelihood.PAIRS, dtype=np.float32),
+        rng.random(M, dtype=np.float32),
+    )
     children = np.empty_like(particles)
     w[PARTICLES:] = 0
     scratch = np.empty(M), np.empty(M, dtype=np.int32), np.empty(M + 1, dtype=np.float32)
@@ -60,22 +67,27 @@ def _pieces(K: Any) -> dict[str, Callable[[], Any]]:
     def often(action: Callable[..., Any], *given: Any) -> Callable[[], Any]:
         return lambda: [action(*given) for _ in range(CALLS)]
 
-    models = {"VMF": K.UNIT_VECTOR, "AE": K.AZEL, "AE-adaptive": K.AZEL_ADAPTIVE}
+    models = {"VMF": small.UNIT_VECTOR, "AE": small.AZEL, "AE-adaptive": small.AZEL_ADAPTIVE}
     return {
-        "normals": often(K.normals, children, 1, 2, 3, 4),
+        "normals": often(philox.normals, children, 1, 2, 3, 4),
         **{
-            f"likelihood, {name}": often(K.loglik, kind, x, y, z, terms, table, out)
+            f"likelihood, {name}": often(
+                particle_likelihood.loglik, kind, x, y, z, terms, table, out
+            )
             for name, kind in models.items()
         },
-        "resampling": often(K.resample, w, PARTICLES, 0.3, *scratch, particles, children),
-        "four": often(_four_anchors(K), x, y, z, terms, out),
+        "resampling": often(particle.resample, w, PARTICLES, 0.3, *scratch, particles, children),
+        "four": often(_four_anchors(), x, y, z, terms, out),
     }
 
 
-def _four_anchors(K: Any) -> Callable[..., None]:
+def _four_anchors() -> Callable[..., None]:
     from numba import njit
 
-    one, tiny, tile, options = K.ONE, K.TINY, K.TILE, K.OPTIONS
+    from aoabench.kernels.compile import OPTIONS as options
+    from aoabench.kernels.particle_likelihood import ONE as one
+    from aoabench.kernels.particle_likelihood import TINY as tiny
+    from aoabench.kernels.philox import TILE as tile
 
     @njit(forceinline=True, **options)
     def term(x, y, z, t):  # type: ignore[no-untyped-def]

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from aoabench.engine.tiles import Draws
-from benchmarks import peers, show
+from benchmarks import kernels, peers, show
 from benchmarks.__main__ import PAGE, PARTS, merged
 from benchmarks.timing import Laps, both_engines, cell_of, in_turn
 
@@ -55,6 +55,13 @@ def test_actions_run_in_turn_and_the_first_call_is_not_counted(monkeypatch):
     found = in_turn({"a": action("a"), "b": action("b")}, repeats=2)
     assert "".join(calls) == "ababab"
     assert found == {"a": 1.0, "b": 1.0}
+
+
+def test_the_pieces_of_a_particle_step_run(monkeypatch):
+    pytest.importorskip("numba")
+    monkeypatch.setattr(kernels, "CALLS", 1)
+    for action in kernels.pieces().values():
+        action()
 
 
 def test_laps_of_both_engines_are_the_same_work():
