@@ -333,10 +333,12 @@ def test_a_second_run_says_that_it_waits_and_computes_nothing_twice(reference, t
     wait_for(lambda: len(seals(tmp_path)) > 3, first)
     os.kill(first.pid, signal.SIGSTOP)  # so that it does not end before the second one has begun
     second = Command(*words)
-    line = wait_for(second.said.read_text, second)
+    try:
+        line = wait_for(second.said.read_text, second) or ""
+    finally:
+        os.kill(first.pid, signal.SIGKILL)
     assert line.startswith(f"aoabench: another run (process {first.pid} on ")
     assert f"is writing into {tmp_path}: waiting until it has ended" in line
-    os.kill(first.pid, signal.SIGKILL)
     first.finished()
     before = seals(tmp_path)
     assert 3 < len(before) < PARTS
