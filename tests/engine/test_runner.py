@@ -668,7 +668,7 @@ def test_known_access_nodes_are_drawn_per_replication_and_paired_over_the_uncert
         cell = compose_cells([*words, "scenario.route=[[17.5,24.5],[19.5,24.5]]"])[0]
         anchors = Draws(cell.scenario, cell.noise, 1).tile(0, 4)[1].anchors
         offset[sigma] = anchors.position - cell.scenario.true_anchors.position
-        assert anchors.of(2).position.shape == (1, 107, 3)
+        assert anchors.of(2).position.shape == (1, 1, 107, 3)
         assert np.array_equal(anchors.of(2).position[0], anchors.position[2])
     assert np.allclose(3 * offset[1.0], offset[3.0])
     assert not np.allclose(offset[1.0][0], offset[1.0][1])

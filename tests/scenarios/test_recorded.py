@@ -312,7 +312,7 @@ MISTAKES = {
     "heading of anchors": (LOG, {"heading_deg": 90}, ["scenario.heading_deg=90", "measured_by=mobile"]),
     "no heading": (LOG, {"measured_by": "mobile"}, ["scenario.columns.heading", "heading_deg"]),
     "bounds": (LOG, {"bounds_m": [[1, 1], [0, 2]]}, ["scenario.bounds_m", "lower corner"]),
-    "unknown key of columns": (LOG, {"columns": {"azimut": "az"}}, ["scenario.columns.azimut", "did you mean 'azimuth'"]),
+    "unknown key of columns": (LOG, {"columns": {"azimut": "az"}}, ["scenario.columns.azimut", "did you mean 'scenario.columns.azimuth'"]),
     "name of a column": (LOG, {"columns": {"azimuth": 7}}, ["scenario.columns.azimuth=7", "name of a column"]),
 }  # fmt: skip
 
