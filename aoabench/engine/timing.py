@@ -44,6 +44,7 @@ def time_estimators(
     with threadpool_limits(1):
         draws = Draws(scenario, noise, seed)
         for name, estimator in estimators.items():
+            estimator.prepare(lambda line: None)  # compiling is not the estimator's time
             size = tile_of(estimator, scenario)
             passes = min(1 + repeats, -(-reps // size))
             seconds: list[float] = []

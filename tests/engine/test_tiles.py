@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from aoabench.config.compose import compose_cells
 from aoabench.engine.block import run_block
+from aoabench.engine.timing import time_estimators
 from aoabench.noise.angular import VonMisesFisher
 from aoabench.roles import Estimator
 from aoabench.types import Estimates, Outcome
@@ -36,3 +38,25 @@ def test_tiles_are_aligned_on_the_replications_number(start, stop, track):
         steps = found[name]["steps"]
         assert np.array_equal(steps["x_m"], steps["replication"])
         assert steps["replication"].tolist() == np.repeat(range(start, stop), 64).tolist()
+
+
+class Unprepared(Estimator):
+    """Raises unless it was prepared."""
+
+    needs = frozenset()
+    ready = False
+
+    def prepare(self, say):
+        self.ready = True
+
+    def __call__(self, batch, scenario, streams):
+        assert self.ready
+        R, T, _ = batch.azimuth.shape
+        return Estimates(np.zeros((R, T, 3)), None, None, np.zeros((R, T), dtype=np.int8))
+
+
+def test_what_is_timed_was_prepared():
+    """Compiling would be in the first pass, and no other follows one that takes a second."""
+    cell = compose_cells(["filter=[ekf_vmf]"])[0]
+    given = cell.scenario, cell.noise, {"new": Unprepared()}, cell.seed
+    assert set(time_estimators(*given, 300)) == {"new"}
