@@ -30,7 +30,7 @@ _LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded mem
 _FEW = 100  # replications; cells with fewer are timed once, others up to three times
 
 
-_HOPELESS = 100  # replications; a cell stops if at least this many have all failed
+_GIVE_UP_AFTER = 100  # replications; a cell stops if at least this many have all failed
 
 
 @dataclass(frozen=True)
@@ -164,12 +164,12 @@ class _Run:
 
     def _check(self, cell: Cell, name: str) -> None:
         """Stop the cell if an estimator failed in more replications than allowed, or in all of at
-        least _HOPELESS.
+        least _GIVE_UP_AFTER.
         """
         key, goal, most = self.keys[cell.id][name], self.goal[cell.id], self.options.max_failed
         loss, there = self.losses[key], self.there[key]
-        hopeless = most < 1 and loss.count == there >= _HOPELESS
-        if cell.id not in self.stopped and (loss.count > most * goal or hopeless):
+        all_failed = most < 1 and loss.count == there >= _GIVE_UP_AFTER
+        if cell.id not in self.stopped and (loss.count > most * goal or all_failed):
             again = replay_command(self.out, cell.id, name, loss.first, cell.config, cell.plugins)
             self.stopped[cell.id] = (
                 f"cell {cell.id} ({cell.scenario_name}, {cell.noise_name}) stopped: "
