@@ -17,10 +17,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    pass
 from aoabench.cell import Cell
 from aoabench.maths.digest import described, digest
 from aoabench.resources import version

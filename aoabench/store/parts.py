@@ -19,10 +19,8 @@ import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    pass
 from aoabench.columns import IDENTITY, KINDS
 from aoabench.store.files import file_checksum, schema, write_atomically, write_table
 
