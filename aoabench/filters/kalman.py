@@ -34,6 +34,7 @@ if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash
     from aoabench.kernels import kalman  # noqa: F401
 
 KERNELS = "kernels.kalman"
+Posterior = tuple[Array, Array]  # mean (R, n) and a square root (R, n, k) of its covariance
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class _Kalman(Compiled, Filter):
     """Recursion of EKF and UKF, with the scenario's motion model and prior."""
 
     measurement: Measurement = param(
-        help="what the filter believes of the measurements", kind=Measurement
+        help="measurement model that the filter assumes", kind=Measurement
     )
     _: KW_ONLY
     engine: str = engine_param()
@@ -50,7 +51,7 @@ class _Kalman(Compiled, Filter):
     finest: ClassVar[float] = 0.0  # the kernel's least variance
 
     def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile or load the kernels, if the measurement model has one; `say` prints a line."""
+        """Compile or load the kernels if they have the measurement model; `say` prints a line."""
         if self.kind() is not None:
             super().prepare(say)
 
@@ -67,7 +68,7 @@ class _Kalman(Compiled, Filter):
             position, P = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
             arrays = (*belief, Y, quality, *batch.anchors.frames, table)
             given = [np.ascontiguousarray(a, dtype=float) for a in arrays]
-            self._compiled(compiled, kind, given, position, P)
+            self._compiled(compiled, kind, (*given, position, P))
         finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(P).all((-1, -2)))
         position = np.where(finite[..., None], position, np.nan)
         outcome = np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
@@ -108,9 +109,7 @@ class _Kalman(Compiled, Filter):
                 covariances.append(covariance(B[:, :3]))
         return np.stack(means, axis=1), np.stack(covariances, axis=1)
 
-    def update(
-        self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
-    ) -> tuple[Array, Array]:
+    def update(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
         """Posterior mean (R, n) and a square root (R, n, k) of its covariance.
 
         Arguments: the prior's mean x (R, n) and lower Cholesky factor L (R, n, n), measurements y
@@ -122,15 +121,8 @@ class _Kalman(Compiled, Filter):
         """Number of the measurement model in the kernels; None for computation in NumPy."""
         return None
 
-    def _compiled(
-        self,
-        compiled: ModuleType,
-        kind: int,
-        given: Sequence[Array],
-        position: Array,
-        covariance: Array,
-    ) -> None:
-        """Fill the means `position` (R, T, 3) m and `covariance` (R, T, 3, 3) m^2 by the kernel."""
+    def _compiled(self, kernels: ModuleType, kind: int, arrays: Sequence[Array]) -> None:
+        """Fill the last two `arrays`, means (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
         raise NotImplementedError
 
 
@@ -141,19 +133,10 @@ class EKF(_Kalman):
     def kind(self) -> int | None:
         return kind_of(self.measurement, self.engine) if type(self) is EKF else None
 
-    def _compiled(
-        self,
-        compiled: ModuleType,
-        kind: int,
-        given: Sequence[Array],
-        position: Array,
-        covariance: Array,
-    ) -> None:
-        compiled.ekf(kind, *given, position, covariance)
+    def _compiled(self, kernels: ModuleType, kind: int, arrays: Sequence[Array]) -> None:
+        kernels.ekf(kind, *arrays)
 
-    def update(
-        self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
-    ) -> tuple[Array, Array]:
+    def update(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
         h = self.measurement
         f = np.swapaxes(h.jacobian(x, anchors) @ L, -1, -2)
         v = h.residual(y, h.predict(x, anchors))
@@ -181,20 +164,11 @@ class UKF(_Kalman):
             return None
         return kind_of(self.measurement, self.engine)
 
-    def _compiled(
-        self,
-        compiled: ModuleType,
-        kind: int,
-        given: Sequence[Array],
-        position: Array,
-        covariance: Array,
-    ) -> None:
+    def _compiled(self, kernels: ModuleType, kind: int, arrays: Sequence[Array]) -> None:
         form = ("averaged", "centre").index(self.form)
-        compiled.ukf(kind, *given, position, covariance, float(self.lambda_), form)
+        kernels.ukf(kind, *arrays, float(self.lambda_), form)
 
-    def update(
-        self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
-    ) -> tuple[Array, Array]:
+    def update(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
         if self.form == "augmented":
             return self._augmented(x, L, y, r, anchors)
         h = self.measurement
@@ -212,9 +186,7 @@ class UKF(_Kalman):
         f = np.sqrt(w)[:, None] * (deviation - mean[:, None])  # (R, S, m)
         return absorb(x, B, f, h.residual(y, images[:, 0] + mean), R)
 
-    def _augmented(
-        self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors
-    ) -> tuple[Array, Array]:
+    def _augmented(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
         """Update from sigma points of (x, e), e ~ N(0, I) in m dimensions, mapped to
         h(x) + sigma(x) e.
         """

@@ -1,12 +1,12 @@
 """Kalman filter kernels: EKF and UKF in double precision, vectorised over replications.
 
 The arithmetic of `filters/kalman.py`, written out for states whose first three components are the
-position and for the measurement models that are numbered below. Both filters carry a square root of
-the covariance. What the measurement says of the position is summed component by component, as
+position and for the measurement models of `kernels/small.py`. Both filters carry a square root of
+the covariance. A measurement's information on the position is summed component by component, as
 A (3, 3) and g (3,); these amount to three scalar measurements, which shrink the square root.
 
-Arrays have one more axis than in the textbook, the last: `TILE` replications. Whatever is innermost
-below is a loop over them, of constant length and without calls, so that the compiler vectorises it.
+Arrays have one more axis than in the textbook, the last: `TILE` replications. Each innermost loop
+runs over them, has a constant length and calls nothing, so that the compiler vectorises it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def seen_from(x, s, R, out):
 
 @inlined_ordered
 def direction(kind, p, out):
-    """What is measured of p (3, TILE) in the anchor's frame: unit vector or azimuth, elevation."""
+    """Unit vector, or azimuth and elevation, of p (3, TILE) in the anchor's frame, into out."""
     if kind == UNIT_VECTOR:
         for r in range(TILE):
             d = max(math.sqrt(p[0, r] * p[0, r] + p[1, r] * p[1, r] + p[2, r] * p[2, r]), NEAREST)
@@ -84,7 +84,7 @@ def slopes(kind, p, c, R, out):
 
 @inlined_ordered
 def variance(kind, l, elevation, nominal, table, out):
-    """Variances of component l (TILE,) where the expected elevations are these."""
+    """Variances of component l at the expected elevations (TILE,) rad, into out (TILE,)."""
     if kind == AZEL_ADAPTIVE:
         for r in range(TILE):
             degree = np.rint(elevation[r] * DEGREES + 90.0)
@@ -132,7 +132,10 @@ def add(out, a, b):
 
 @inlined_ordered
 def eliminate(M, b):
-    """M x = b for its last three unknowns: M (7, 7), its lower half, and b (7,) freed from four."""
+    """Eliminate the first four of seven unknowns from M x = b, M given by its lower half.
+
+    M[4:, 4:] and b[4:] then hold the system of the last three; M[j, j] (j < 4) its reciprocals.
+    """
     for j in range(4):
         for r in range(TILE):
             M[j, j, r] = 1.0 / M[j, j, r]
@@ -149,7 +152,7 @@ def eliminate(M, b):
 
 @inlined_ordered
 def load(source, start, out):
-    """out (..., TILE) from the replications start ... of source (R|1, ...); the last one fills up
+    """Copy replications start ... of source (R|1, ...) into out (..., TILE); the last one fills up
     the tile.
     """
     last = len(source) - 1
@@ -161,10 +164,21 @@ def load(source, start, out):
 
 @inlined_ordered
 def load_step(source, start, k, c, out):
-    """out (TILE,) from component c of step k, as `load` does it."""
+    """Copy component c of step k into out (TILE,), as `load` does it."""
     last = len(source) - 1
     for r in range(TILE):
         out[r] = source[min(start + r, last), k, c]
+
+
+@inlined_ordered
+def begin(start, x0, root0, position, rotation, x, root, s, rot):
+    """Prior x (n, TILE), root (n, n, TILE) and anchors s, rot of the replications start ..."""
+    load(x0, start, x)
+    load(position, start, s)
+    load(rotation, start, rot)
+    for i in range(len(x)):
+        for j in range(len(x)):
+            root[i, j] = root0[i, j]
 
 
 ARGUMENTS = (
@@ -193,12 +207,7 @@ def ekf(kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, cov
     y, nominal, var = np.empty(TILE), np.empty(TILE), np.empty(TILE)
     v, W = np.empty(TILE), np.empty(TILE)
     for start in range(0, R, TILE):
-        load(x0, start, x)
-        load(position, start, s)
-        load(rotation, start, rot)
-        for i in range(n):
-            for j in range(n):
-                root[i, j] = root0[i, j]
+        begin(start, x0, root0, position, rotation, x, root, s, rot)
         for k in range(steps):
             predict(TILE, x, root, F, Q, P, FR, Fx)
             cholesky(TILE, P, root)
@@ -238,9 +247,10 @@ def ukf(
     """UKF of each replication with 2 n + 1 sigma points; `form` AVERAGED or CENTRE, the rest as for
     `ekf`.
 
-    Seven points are computed: the others differ from the centre in no position and count with it.
-    Each pair of points gives a half sum and a half difference. Only the differences deviate in the
-    state, and the update of the state is what remains of the equations without the others.
+    Seven points are computed: the others have the centre's position, and their weights are added to
+    the centre's. Each pair of points gives a half sum and a half difference. Only the differences
+    deviate in the state; the other four unknowns are eliminated, which leaves the update of the
+    state.
     """
     (R, steps, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
     d = m // B
@@ -256,12 +266,7 @@ def ukf(
     centre = (lambda_ + n - 3.0) / (n + lambda_)
     half, still = math.sqrt(0.5 * each), math.sqrt(centre)
     for start in range(0, R, TILE):
-        load(x0, start, x)
-        load(position, start, s)
-        load(rotation, start, rot)
-        for i in range(n):
-            for j in range(n):
-                root[i, j] = root0[i, j]
+        begin(start, x0, root0, position, rotation, x, root, s, rot)
         for k in range(steps):
             predict(TILE, x, root, F, Q, P, FR, Fx)
             cholesky(TILE, P, root)
