@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from aoabench.cell import Cell
-from aoabench.config.compose import compose_cells
 from aoabench.engine import block
 from aoabench.engine.tiles import Draws
 from aoabench.scenarios.indoor_map import IndoorMap
@@ -112,7 +111,7 @@ def access_nodes(repeats: int) -> Iterator[Row]:
     us = 1e6 * found["numpy"] / slow.steps
     yield Row("access-node step in NumPy", "ekf_toa_aoa", us, "us", "", how)
     begin = time.perf_counter()
-    fresh = compose_cells(words)[0].scenario
+    fresh = cell_of(*words, estimators=["wcg"]).scenario
     assert isinstance(fresh, IndoorMap)
     fresh.line_of_sight(fresh.truth(np.random.default_rng(0))[:, :3])
     sight = time.perf_counter() - begin

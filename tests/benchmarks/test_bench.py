@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from aoabench.engine.tiles import Draws
-from benchmarks import kernels, peers, show
+from benchmarks import filters, kernels, peers, show, snapshots
 from benchmarks.__main__ import PAGE, PARTS, merged
 from benchmarks.timing import Laps, both_engines, cell_of, in_turn
 
@@ -62,6 +62,24 @@ def test_the_pieces_of_a_particle_step_run(monkeypatch):
     monkeypatch.setattr(kernels, "CALLS", 1)
     for action in kernels.pieces().values():
         action()
+
+
+@pytest.mark.parametrize("part", ["kalman", "particle", "snapshot", "room", "access_nodes"])
+def test_each_part_that_times_estimators_gives_its_rows(part, monkeypatch):
+    pytest.importorskip("numba")
+    timed = []
+
+    def once(actions, repeats):
+        timed.extend(actions)
+        return dict.fromkeys(actions, 1.0)
+
+    for module in (filters, snapshots):
+        monkeypatch.setattr(module, "in_turn", once)
+    rows = list(PARTS[part](1))
+    assert timed and len(rows) >= 4
+    assert all(np.isfinite(row.value) for row in rows)
+    expected = FRAME[FRAME["part"] == part]["what"]
+    assert {row.what for row in rows} <= set(expected)
 
 
 def test_laps_of_both_engines_are_the_same_work():
