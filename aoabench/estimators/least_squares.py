@@ -84,17 +84,17 @@ def by_kernel(
     x, outcome, count = np.empty((R, T, 3)), np.empty((R, T), dtype=np.int8), np.empty((R, T))
     phi, theta, wa, we = (padded(a, compiled.LANES) for a in measured(batch))
     options = (azimuth, printed, ROWS.index(rows), tolerance, updates)
+    position, rotation = batch.anchors.frames
+    centre = position.mean(axis=1, keepdims=True)  # (R|1, 1, 3)
+    # padded with the last anchor: an anchor of zeros would have angles of NaN
+    s = padded(np.swapaxes(position - centre, 1, 2), compiled.LANES, "edge")
+    rotation = padded(np.moveaxis(rotation, 1, -1), compiled.LANES, "edge")
     for i in range(R):
-        position, rotation = (a[0] for a in batch.anchors.of(i).frames)
-        centre = position.mean(axis=0)
-        # padded with the last anchor: an anchor of zeros would have angles of NaN
-        s = padded((position - centre).T, compiled.LANES, "edge")
-        rotation = padded(np.moveaxis(rotation, 0, -1), compiled.LANES, "edge")
+        j, k = min(i, len(s) - 1), min(i, len(rotation) - 1)
         compiled.gauss_newton(
-            *options, phi[i], theta[i], wa[i], we[i], s, rotation, x[i], outcome[i], count[i]
+            *options, phi[i], theta[i], wa[i], we[i], s[j], rotation[k], x[i], outcome[i], count[i]
         )
-        x[i] += centre
-    return x, outcome, count
+    return x + centre, outcome, count
 
 
 def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
