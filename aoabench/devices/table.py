@@ -271,15 +271,15 @@ class Table:
         if which == "last":
             return np.sort(len(pair) - 1 - np.unique(pair[::-1], return_index=True)[1])
         if which == "error":
-            mate = first[inverse]
+            earlier = first[inverse]
             for value in values.values():
                 differs = np.flatnonzero(
-                    (value != value[mate]) & ~(np.isnan(value) & np.isnan(value[mate]))
+                    (value != value[earlier]) & ~(np.isnan(value) & np.isnan(value[earlier]))
                 )
                 if len(differs):
                     one, two = (
                         self.at(int(row), "anchor", "azimuth")
-                        for row in (mate[differs[0]], differs[0])
+                        for row in (earlier[differs[0]], differs[0])
                     )
                     raise self.bad(f"one row per anchor in each fix, or {hint}; {one}, {two}")
         return np.sort(first)

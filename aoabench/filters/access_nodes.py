@@ -46,7 +46,7 @@ if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash
 
 KERNELS = "kernels.access_nodes"
 PRINTED = ("jacobian", "wrap", "shared", "cross")
-LOST = 32 * EPS  # eigenvalue, at a diagonal of 1, below which it is rounding error
+LOST = 32 * EPS  # eigenvalue of A scaled to a diagonal of 1, below which it is rounding error
 RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 

@@ -83,11 +83,12 @@ def add(w, a, r, f, d, h):
 
 @inlined_ordered
 def observe(w, R, c, turn, jacobian, unwrapped, linked, first):
-    """Add H^T S^-1 H to A and H^T S^-1 v to g for one AN; its time counts in the rows from `first`.
+    """Add H^T S^-1 H to A and H^T S^-1 v to g for one AN.
 
-    R (3, 3) is the AN's rotation, c (3,) m^2 are the variances of its position. `linked` is 0 if
-    the covariances of time and angles are left out, else 1. The components are decorrelated one
-    after the other, and each is weighted by the inverse of its remaining variance.
+    The terms of the AN's time are added to the rows of w from `first` on. R (3, 3) is its rotation,
+    c (3,) m^2 are the variances of its position. `linked` is 0 if the covariances of time and
+    angles are left out, else 1. The components are decorrelated one after the other, and each is
+    weighted by the inverse of its remaining variance.
     """
     M = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
     C = c[0], c[1], c[2]
@@ -237,7 +238,7 @@ def run(mean, root, F, Q, y, q, heard, anchors, C, flags):
     places, rotation = anchors.frames
     places = np.broadcast_to(places, (R, *places.shape[1:]))
     position, covariance = np.empty((R, T, 3)), np.empty((R, T, 3, 3))
-    # replications of one tile share rotations and stated deviations; otherwise a tile has one
+    # replications of a tile share rotations and stated deviations; if these differ, it has only one
     size = TILE if len(rotation) == len(C) == 1 else 1
     for start in range(0, R, size):
         of = slice(start, min(start + size, R))

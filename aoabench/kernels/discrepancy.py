@@ -41,7 +41,7 @@ EVEN = 1e-9  # ratios (19) that differ by less are equal, as in estimators/discr
 
 @inlined
 def count(M):
-    """Number of anchors in the set M: of its bits that are 1."""
+    """Number of anchors in the set M, which is the number of bits that are 1."""
     M = M - ((M >> 1) & 0x5555555555555555)
     M = (M & 0x3333333333333333) + ((M >> 2) & 0x3333333333333333)
     return (((M + (M >> 4)) & 0x0F0F0F0F0F0F0F0F) * 0x0101010101010101) >> 56
@@ -174,8 +174,8 @@ def common_ellipses(n, e, boxes, sets, points, number):
 def holders(x, y, first, second, among, n, e):
     """The set of those ellipses in the set `among` that contain (x, y).
 
-    (x, y) is a crossing of the ellipses `first` and `second`, so these count as containing it; -1:
-    none.
+    If (x, y) is a crossing of the ellipses `first` and `second`, these contain it without a test;
+    for any other point both are -1.
     """
     M = 0
     for l in range(n):

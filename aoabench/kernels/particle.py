@@ -230,7 +230,7 @@ def lap(
         xx, xy, xz, yy, yz, zz = spread(x, y, z, w, c)
         row = out[k]
         row[0], row[1], row[2], row[12] = mx, my, mz, effective
-        if effective < ONE_PARTICLE:  # its covariance is 0
+        if effective < ONE_PARTICLE:  # the covariance is 0
             S = math.inf
         row[3], row[7], row[11] = xx / S, yy / S, zz / S
         row[4] = row[6] = xy / S

@@ -1,7 +1,7 @@
 """Random numbers by counter: Philox4x32-10 [Salmon et al., SC 2011] and standard normals from it.
 
 The counter is (index, step, replication, stream). So every filter of a replication draws the same
-numbers, on any worker and in any amount.
+numbers, on any worker and for any number of particles.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ class AzElFitted(AzEl):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Nothing: the deviations are its own."""
+        """The empty set, because the model has deviations of its own."""
         return frozenset()
 
     def sigmas(self) -> tuple[float, float]:
@@ -175,7 +175,7 @@ class AzElAdaptive(AzEl):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Nothing: the deviations are its own."""
+        """The empty set, because the model has deviations of its own."""
         return frozenset()
 
     def nominal(self) -> float:

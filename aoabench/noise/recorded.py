@@ -23,5 +23,5 @@ class Recorded(Noise):
         return scenario.recorded
 
     def offers(self) -> frozenset[str]:
-        """Nothing: the scenario states its measurements."""
+        """The empty set, because the scenario offers its measurements."""
         return frozenset()
