@@ -19,7 +19,7 @@ result is
 
     x+ = x + P_:p (I + A P_pp)^-1 g,    P+ = P - P_:p (I + A P_pp)^-1 A P_p:,
 
-which equals the update by the gain K = P H^T (H P H^T + R)^-1 with H and R of all measurements.
+which equals the update by the gain K = P H^T (H P H^T + R)^-1 with R block-diagonal over the ANs.
 P+ is positive definite for any variances of the measurements.
 """
 

@@ -89,7 +89,7 @@ class ParticleFilter(Compiled, Filter):
     particles: int = param(10_000, "number of particles", least=1, most=10_000_000)
     resample_below: float = param(
         0.1,
-        "share of effective particles in all particles below which they are resampled",
+        "ratio of effective to all particles below which particles are resampled",
         least=0,
         most=1,
     )
@@ -224,8 +224,8 @@ class ParticleFilter(Compiled, Filter):
         The kernel chooses ancestors by its weights q in single precision. Each resampled particle
         therefore carries the ratio w / q, w being its weight in double precision. The result is a
         valid particle filter that differs from the kernel by rounding alone. If this filter chose
-        ancestors by w, rounding would change one of them sooner or later, and from then on both
-        filters would differ like filters with different seeds. Raises BadValue without a kernel.
+        ancestors by w, rounding would change an ancestor at the first near tie, and from then on
+        both filters would differ like filters with different seeds. Raises BadValue without kernel.
         """
         kind = kind_of(self.measurement) if len(track.belief.F) == 3 else None
         compiled = None if kind is None or track.anchors.moving else load(KERNELS)

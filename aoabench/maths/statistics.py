@@ -117,7 +117,7 @@ def cep(error: ArrayLike, probability: float = 0.5, axis: int = 0) -> Estimate:
     error probable.
 
     Independent units lie along `axis`: 0 replications, 1 positions that all replications share. The
-    standard error is half the width of `intervals.cep_interval` over the normal quantile, at 2/3.
+    standard error is derived from `intervals.cep_interval` at the confidence 2/3.
     """
     e = finite(np.ravel(np.asarray(error, dtype=float)))
     low, high = intervals.cep_interval(error, probability, axis, confidence=2 / 3)

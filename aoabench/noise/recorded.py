@@ -19,7 +19,7 @@ class Recorded(Noise):
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """The recorded measurements (T, B)."""
         if scenario.recorded is None:
-            raise BadValue("noise", "recorded", "another noise, or scenario=recorded")
+            raise BadValue("noise", "recorded", "another noise, or a scenario with a recording")
         return scenario.recorded
 
     def offers(self) -> frozenset[str]:
