@@ -38,9 +38,7 @@ def header(key: str, path: object) -> list[str]:
     except (OSError, ValueError, csv.Error) as error:
         raise BadValue(key, path, f"a readable {_KINDS}; {_reason(error)}") from None
     if not any(found):
-        raise BadValue(
-            key, path, f"a {_KINDS} whose first line names its columns; line 1 is empty"
-        )
+        raise BadValue(key, path, f"a {_KINDS} whose first line names its columns; line 1 is empty")
     return found
 
 

@@ -50,9 +50,7 @@ class IndoorMap(Scenario):
     route: Sequence[Sequence[float]] = param(
         help="waypoints, a row x, y for each", unit="m", shape=(None, 2)
     )
-    motion: Motion = param(
-        help="motion model that filters assume", kind=Motion, allowed=STATE
-    )
+    motion: Motion = param(help="motion model that filters assume", kind=Motion, allowed=STATE)
     walls: str | None = param(
         help="file of the walls, GeoJSON or CSV with x0_m, y0_m, x1_m, y1_m; null: no walls",
         allowed="an existing file, or null",
