@@ -54,7 +54,7 @@ class Room(Scenario):
             raise BadValue(
                 f"points_m[{i}]",
                 points[i].tolist(),
-                f"a point in the room, from [0, 0] to {list(self.size_m[:2])} m",
+                f"a point [x, y] inside the room of {list(self.size_m)} m",
             )
         check_number("height_m", self.height_m, least=0, most=float(self.size_m[2]))
         check_number("days", self.days, least=1, most=self.packets, integer=True)
