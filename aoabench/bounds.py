@@ -12,7 +12,7 @@ import numpy as np
 from aoabench.maths.geometry import Array, in_frames
 from aoabench.types import Anchors
 
-WHOLE = 1e-12  # an information matrix is singular if its ratio of eigenvalues is not above this
+SINGULAR = 1e-12  # ratio of the eigenvalues up to which an information matrix is singular
 
 
 def azel_information(
@@ -66,7 +66,7 @@ def crb(information: Array) -> Array:
     one = np.eye(J.shape[-1])
     J = np.where(whole[..., None, None], J, one)
     spread = np.linalg.eigvalsh(J)
-    whole &= spread[..., 0] > WHOLE * spread[..., -1]
+    whole &= spread[..., 0] > SINGULAR * spread[..., -1]
     J = np.where(whole[..., None, None], J, one)
     return np.where(whole[..., None, None], np.linalg.inv(J), np.nan)
 

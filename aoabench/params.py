@@ -2,7 +2,7 @@
 
     @dataclass(frozen=True)
     class Mean(Estimator):
-        horizon_deg: float = param(1.0, "rays look at least this far down", above=0, most=89)
+        horizon_deg: float = param(1.0, "least angle between ray and plane", above=0, most=89)
 
 `Mean(horizon_deg=90)` raises BadValue, from Python as from YAML.
 """
@@ -109,7 +109,7 @@ def _check_null(key: str, value: object) -> None:
         raise BadValue(key, value, "null")
 
 
-def param(  # noqa: PLR0913 - a limit each
+def param(  # noqa: PLR0913 - one argument per limit
     default: Any = MISSING,
     help: str = "",
     *,

@@ -65,13 +65,13 @@ def chosen_columns(
 ) -> dict[str, str]:
     """Map aoabench's column names to the file's, for the columns to read.
 
-    A column has its name in `named`, else its default name if the file has that. Raises BadValue
-    if a named or required column is missing. A fix or a time is always required; x and y are
-    required if one of x, y, z is read.
+    A column has its name in `named`, or else its default name if the file has such a column. Raises
+    BadValue if a named or required column is missing, or occurs twice. A fix or a time is always
+    required; x and y are required if one of x, y, z is read.
     """
-    there = header("path", path)
+    columns = header("path", path)
     chosen = {
-        ours: defaults[ours] if name is None and defaults[ours] in there else name
+        ours: defaults[ours] if name is None and defaults[ours] in columns else name
         for ours, name in named.items()
     }
     if chosen["fix"] is not None:
@@ -80,24 +80,24 @@ def chosen_columns(
     required |= {"x", "y"} if any(chosen[axis] for axis in "xyz") else set()
     for ours, name in chosen.items():
         if name is None and ours in required:
-            raise _no_column(ours, name, defaults[ours], path, there)
-        if name is not None and there.count(name) != 1:
-            raise _no_column(ours, name, name, path, there)
+            raise _no_column(ours, name, defaults[ours], path, columns)
+        if name is not None and columns.count(name) != 1:
+            raise _no_column(ours, name, name, path, columns)
     return {ours: name for ours, name in chosen.items() if name is not None}
 
 
 def _no_column(
-    ours: str, name: str | None, wanted: str, path: str, there: Sequence[str]
+    ours: str, name: str | None, wanted: str, path: str, columns: Sequence[str]
 ) -> BadValue:
     """The error for the column `ours`, whose name `wanted` is missing or twice in the file."""
     default = f", by default called {wanted}," if name is None else ""
-    allowed = f"a column{default} of {path}, which has {', '.join(there)}"
-    if wanted in there:
-        allowed += f"; {wanted} is there {there.count(wanted)} times"
+    allowed = f"a column{default} of {path}, which has {', '.join(columns)}"
+    if wanted in columns:
+        allowed += f"; {wanted} occurs {columns.count(wanted)} times"
     else:
-        allowed += did_you_mean(wanted, there)
+        allowed += did_you_mean(wanted, columns)
     if ours == "time":
-        allowed += "; or fix, a column that numbers what belongs together"
+        allowed += "; or scenario.columns.fix, a column with the number of each row's fix"
     return BadValue(f"columns.{ours}", name, allowed)
 
 
@@ -110,12 +110,12 @@ def known_anchors(
     Raises BadValue for a row of another anchor if `strict`, and if no row is left.
     """
     anchor = table.indices("anchor", ids, strict=strict)
-    strangers = int((anchor < 0).sum())
-    if not strangers:
+    unknown = int((anchor < 0).sum())
+    if not unknown:
         return table, anchor, []
-    if strangers == len(anchor):
+    if unknown == len(anchor):
         raise table.bad(f"at least one row of a known anchor: {', '.join(ids[:20])}")
-    notes = [f"{table.path}: {strangers} rows of unknown anchors left out"]
+    notes = [f"{table.path}: {unknown} rows of unknown anchors left out"]
     return table.where(anchor >= 0), anchor[anchor >= 0], notes
 
 
@@ -162,7 +162,7 @@ def angles(table: Table, given: Conventions) -> dict[str, Array]:
             sigma = np.abs(sigma) if given.negative_sigma == "absolute" else positive
             allowed = (
                 f"a number > 0 in {table.names[column]} "
-                f"for every {angle} that was measured; see negative_sigma"
+                f"for every {angle} that was measured; see scenario.negative_sigma"
             )
             table.check(column, np.isfinite(found[angle]) & ~(sigma > 0), allowed)
             found[column] = sigma
@@ -173,7 +173,9 @@ def _azimuth(table: Table, given: Conventions) -> Array:
     """Azimuths (N,) rad, counter-clockwise; in the mobile's own frame if the mobile measures."""
     turn = TURN[given.azimuth_unit]
     raw = table.numbers("azimuth")
-    allowed = f"azimuths within +-{turn:.6g}, as azimuth_unit={given.azimuth_unit} declares"
+    allowed = (
+        f"azimuths within +-{turn:.6g}, as scenario.azimuth_unit={given.azimuth_unit} declares"
+    )
     table.check("azimuth", np.abs(raw) > turn * (1 + 1e-6), allowed)
     sign = 1.0 if given.azimuth_sense == "counterclockwise" else -1.0
     return np.deg2rad(given.azimuth_zero_deg) + sign * raw * (2 * np.pi / turn)
@@ -189,14 +191,15 @@ def _elevation(table: Table, given: Conventions) -> Array:
     middle, sign = zeros[kind]
     allowed = (
         f"{kind} angles from {middle - limit:.6g} to {middle + limit:.6g}, "
-        f"as elevation_kind={kind} and elevation_unit={given.elevation_unit} declare"
+        f"as scenario.elevation_kind={kind} and "
+        f"scenario.elevation_unit={given.elevation_unit} declare"
     )
     table.check("elevation", np.abs(raw - middle) > limit * (1 + 1e-6), allowed)
     return sign * (raw - middle) * (2 * np.pi / turn)
 
 
 def doubts(table: Table, azimuth_unit: str) -> list[str]:
-    """A warning line if azimuths declared as deg look like rad, else none."""
+    """A warning line if azimuths declared as deg look like rad, else an empty list."""
     raw = table.numbers("azimuth")
     raw = raw[np.isfinite(raw)]
     if azimuth_unit == "rad" or len(raw) <= 20:
@@ -204,7 +207,9 @@ def doubts(table: Table, azimuth_unit: str) -> list[str]:
     if np.abs(raw).max() > 2 * np.pi or np.all(raw == np.rint(raw)):
         return []
     name = table.names["azimuth"]
-    return [f"{table.path}: all of {name} is within +-2 pi deg: if it is rad, azimuth_unit=rad"]
+    return [
+        f"{table.path}: {name} is within +-2 pi deg; if it is in rad, set scenario.azimuth_unit=rad"
+    ]
 
 
 def truth(table: Table, fix: np.ndarray, T: int) -> Array:

@@ -22,23 +22,24 @@ def read_anchors(key: str, path: str) -> tuple[list[str], Anchors]:
     Rz(facing) Ry(pitch) Rx(roll) turns the global axes into the anchor's. With facing alone, local
     x points along the facing direction, y to the left, z up, as in `plan.read_anchors`.
     """
-    there = header(key, path)
+    present = header(key, path)
     columns = ("id", "x_m", "y_m", "z_m", "facing_deg", "pitch_deg", "roll_deg")
     for name in columns:
-        if there.count(name) > 1 or (name in columns[:3] and name not in there):
+        if present.count(name) > 1 or (name in columns[:3] and name not in present):
             raise BadValue(
                 key,
                 path,
-                f"a file with {', '.join(columns[:3])}, each once; it has {', '.join(there)}",
+                f"a file with the columns {', '.join(columns[:3])}, each once; "
+                f"it has {', '.join(present)}",
             )
-    table = Table.read(key, path, {name: name for name in columns if name in there})
+    table = Table.read(key, path, {name: name for name in columns if name in present})
     code, ids = table.texts("id")
     again = np.ones(len(code), dtype=bool)
     again[np.unique(code, return_index=True)[1]] = False
     table.check("id", again, "each id once")
     n = len(code)
     x, y, z, *turns = (
-        table.numbers(c, empty=False) if c in there else np.zeros(n) for c in columns[1:]
+        table.numbers(c, empty=False) if c in present else np.zeros(n) for c in columns[1:]
     )
     axes = [euler(turn).T for turn in np.deg2rad(np.stack(turns[::-1], axis=-1))]
     return ids, Anchors(np.stack([x, y, z], axis=-1), np.stack(axes))

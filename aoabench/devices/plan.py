@@ -21,7 +21,7 @@ from aoabench.types import Anchors
 
 ANCHOR_COLUMNS = ("x_m", "y_m", "z_m", "facing_deg")
 WALL_COLUMNS = ("x0_m", "y0_m", "x1_m", "y1_m")
-_AT_ONCE = 1 << 16  # sight lines held in memory together
+_AT_ONCE = 1 << 16  # number of sight lines in memory at a time
 
 
 def find(key: str, name: object) -> Path:

@@ -38,9 +38,7 @@ def header(key: str, path: object) -> list[str]:
     except (OSError, ValueError, csv.Error) as error:
         raise BadValue(key, path, f"a readable {_KINDS}; {_reason(error)}") from None
     if not any(found):
-        raise BadValue(
-            key, path, f"a {_KINDS} whose first line names its columns; this one is empty there"
-        )
+        raise BadValue(key, path, f"a {_KINDS} whose first line names its columns; line 1 is empty")
     return found
 
 
@@ -50,8 +48,8 @@ EXISTING = f"existing {_KINDS}"
 
 def _is_parquet(key: str, path: object) -> bool:
     if not isinstance(path, str) or not os.path.isfile(path):
-        there = "; this is a folder" if isinstance(path, str) and os.path.isdir(path) else ""
-        raise BadValue(key, path, f"an {EXISTING}{there}")
+        folder = "; this is a folder" if isinstance(path, str) and os.path.isdir(path) else ""
+        raise BadValue(key, path, f"an {EXISTING}{folder}")
     kind = os.path.splitext(path)[1].lower()
     if kind not in (".csv", ".parquet"):
         raise BadValue(key, path, f"a {_KINDS}")
@@ -67,7 +65,7 @@ def _reason(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """Some columns of a file by aoabench's names; `names` maps these to the file's."""
+    """Columns of a file under aoabench's names, which `names` maps to the file's names."""
 
     key: str
     path: str
@@ -81,12 +79,12 @@ class Table:
 
         The file has to contain each column once. The frame's index is the row's place in the file.
         """
-        there = header(key, path)
+        present = header(key, path)
         try:
             if _is_parquet(key, path):
                 table = Table._parquet(key, path, names)
             else:
-                table = Table._csv(key, path, names, there)
+                table = Table._csv(key, path, names, present)
         except BadValue:
             raise
         except (OSError, ValueError) as error:  # pandas and Arrow
@@ -106,11 +104,11 @@ class Table:
         return Table(key, path, names, pd.DataFrame(columns).reset_index(drop=True), ("row", 1))
 
     @staticmethod
-    def _csv(key: str, path: str, names: Mapping[str, str], there: Sequence[str]) -> Table:
+    def _csv(key: str, path: str, names: Mapping[str, str], present: Sequence[str]) -> Table:
         import pandas as pd
 
-        places = {ours: there.index(theirs) for ours, theirs in names.items()}
-        beyond = len(there)  # one extra column, to find cells beyond the header
+        places = {ours: present.index(theirs) for ours, theirs in names.items()}
+        beyond = len(present)  # one extra column, to find cells beyond the header
         texts = {place for ours, place in places.items() if ours in TEXTS} | {beyond}
         empty: dict[Any, list[str]] = {p: [""] if p in texts else EMPTY for p in range(beyond + 1)}
         found = pd.read_csv(
@@ -140,19 +138,19 @@ class Table:
         return self if keep.all() else replace(self, frame=self.frame[keep])
 
     def bad(self, allowed: str) -> BadValue:
-        """The error for this file; `allowed` is the allowed content."""
+        """The exception for this file; `allowed` is the allowed content."""
         return BadValue(self.key, self.path, allowed)
 
     def at(self, row: int, *columns: str) -> str:
         """'line 17 has azimuth_deg=400' for a row of the frame, or 'line 17'."""
         word, first = self.first
         cells = [(self.names[column], self.frame[column].iloc[row]) for column in columns]
-        said = [
+        shown = [
             f"{name}={value!r}" if isinstance(value, str) else f"{name}={value}"
             for name, value in cells
         ]
         return f"{word} {self.frame.index[row] + first}" + (
-            f" has {' and '.join(said)}" if said else ""
+            f" has {' and '.join(shown)}" if shown else ""
         )
 
     def check(self, column: str, wrong: np.ndarray, allowed: str) -> None:
@@ -190,7 +188,7 @@ class Table:
         self.check(
             column,
             ~np.isfinite(value) & ~absent,
-            f"finite numbers in {name}" + (", or nothing" * empty),
+            f"finite numbers in {name}" + (", or empty cells" * empty),
         )
         if not empty:
             self.check(column, absent, f"a number in {name} in every row")
@@ -207,7 +205,7 @@ class Table:
         self.check(
             column,
             moments.isna().to_numpy(),
-            f"a time in {self.names[column]} in every row, all ISO 8601",
+            f"a time in {self.names[column]} in every row, each in ISO 8601",
         )
         return np.asarray((moments - moments.min()) / pd.Timedelta(seconds=1), dtype=float)
 
@@ -222,7 +220,7 @@ class Table:
             str(int(t) if isinstance(t, float) and t.is_integer() else t).strip()
             for t in distinct.tolist()
         ]
-        empty = np.array([*(not text for text in texts), True])  # the last: no value
+        empty = np.array([*(not text for text in texts), True])  # the last one for empty cells
         self.check(column, empty[code], f"a value in {self.names[column]} in every row")
         merged, ids = pd.factorize(np.array(texts, dtype=object))
         return merged[code], ids.tolist()
@@ -235,11 +233,11 @@ class Table:
         place = {text: i for i, text in enumerate(known)}
         index = np.array([place.get(text, -1) for text in ids])[code]
         if strict and (index < 0).any():
-            stranger = ids[code[int(np.flatnonzero(index < 0)[0])]]
+            unknown = ids[code[int(np.flatnonzero(index < 0)[0])]]
             some = ", ".join(known[:20]) + (f", ... ({len(known)})" if len(known) > 20 else "")
             wrong = self.at(int(np.flatnonzero(index < 0)[0]), column)
             raise self.bad(
-                f"{self.names[column]} one of {some}; {wrong}{did_you_mean(stranger, known)}"
+                f"one of {some} in {self.names[column]}; {wrong}{did_you_mean(unknown, known)}"
             )
         return index
 
@@ -271,15 +269,15 @@ class Table:
         if which == "last":
             return np.sort(len(pair) - 1 - np.unique(pair[::-1], return_index=True)[1])
         if which == "error":
-            mate = first[inverse]
+            earlier = first[inverse]
             for value in values.values():
                 differs = np.flatnonzero(
-                    (value != value[mate]) & ~(np.isnan(value) & np.isnan(value[mate]))
+                    (value != value[earlier]) & ~(np.isnan(value) & np.isnan(value[earlier]))
                 )
                 if len(differs):
                     one, two = (
                         self.at(int(row), "anchor", "azimuth")
-                        for row in (mate[differs[0]], differs[0])
+                        for row in (earlier[differs[0]], differs[0])
                     )
                     raise self.bad(f"one row per anchor in each fix, or {hint}; {one}, {two}")
         return np.sort(first)

@@ -25,7 +25,7 @@ from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates
 
-DIFFERENT = "a list of different anchors' numbers >= 1, or null for all"
+DIFFERENT = "a list of different anchor numbers >= 1, or null for all anchors"
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class Discrepancy(Compiled, Estimator):
     r_sigma elevation_sigma_deg.
     """
 
-    r_sigma: float = param(1.0, "factor on both deviations: a small one rejects more", above=0)
+    r_sigma: float = param(1.0, "factor on both deviations; a small one rejects more", above=0)
     azimuth_sigma_deg: float = param(
         8.1, "standard deviation of the azimuth", unit="deg", above=0, most=90
     )
@@ -63,17 +63,17 @@ class Discrepancy(Compiled, Estimator):
     horizon_deg: float = horizon_param()
     intersection: str = param(
         "boxes",
-        "what must have a common point: the ellipses' bounding boxes, or the ellipses (exact)",
+        "regions with a common point: the ellipses' bounding boxes, or the ellipses (exact)",
         choices=INTERSECTIONS,
     )
     ties: str = param(
         "area",
-        "which of several largest sets: the one of the largest ratio (19) of areas, "
+        "choice among several largest sets: the largest ratio (19) of areas, "
         "or the first in the order of anchor numbers",
         choices=TIES,
     )
     vote: bool = param(
-        True, "whether anchors vote; false: all that measured are fused, S2 is left out"
+        True, "whether anchors vote; false: all anchors that measured are fused, without S2"
     )
     clip: bool = clip_param()
     height_m: float | None = height_param()

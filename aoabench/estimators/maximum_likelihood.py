@@ -43,8 +43,8 @@ class GaussNewton(Compiled, Estimator):
 
     azimuth: str = param(
         "kcorr",
-        "azimuths by arctan, folded; by atan2, in [0, 2 pi); or kcorr, atan2 with phase-jump "
-        "correction",
+        "definition of azimuths: arctan, folded; atan2, in [0, 2 pi); or kcorr, atan2 with "
+        "phase-jump correction",
         choices=AZIMUTHS,
     )
     start: str = rows_param()

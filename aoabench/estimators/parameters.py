@@ -9,18 +9,18 @@ from aoabench.params import param
 
 def height_param() -> Any:
     """The parameter `height_m` of a method in the plane."""
-    return param(None, "height of the plane that the target is in; null: the scenario's", unit="m")
+    return param(None, "height of the target's plane; null: the scenario's known height", unit="m")
 
 
 def horizon_param() -> Any:
     """The parameter `horizon_deg` of a method in the plane."""
-    help = "rays look at least this far towards the plane"
+    help = "least angle between a ray and the plane; a flatter ray is turned to it"
     return param(1.0, help, unit="deg", above=0, most=89)
 
 
 def clip_param() -> Any:
     """The parameter `clip`."""
-    return param(True, "whether x and y are moved into the scenario's bounds, if it has any")
+    return param(True, "whether x and y are moved into the scenario's bounds, if it has bounds")
 
 
 def tolerance_param(default: float) -> Any:
@@ -31,5 +31,5 @@ def tolerance_param(default: float) -> Any:
 def updates_param(default: int) -> Any:
     """The parameter `updates` of an iteration."""
     return param(
-        default, "steps after which the iteration counts as oscillating", least=1, most=1_000_000
+        default, "number of steps after which the iteration is oscillating", least=1, most=1_000_000
     )

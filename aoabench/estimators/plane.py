@@ -44,7 +44,7 @@ def plane_of(height_m: float | None, scenario: Scenario) -> float:
         raise BadValue(
             "height_m",
             None,
-            "a number of m: the scenario does not say at which height its target is",
+            "a number of m, because the scenario states no known height of its target",
         )
     level = np.abs(scenario.true_anchors.position[..., 2] - height) < 1e-9
     if level.any():

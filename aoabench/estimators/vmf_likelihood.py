@@ -41,7 +41,7 @@ class VmfLikelihood(Estimator):
 
     height_m: float | str | None = param(
         None,
-        "height of the target, or free: z is estimated too; null: the scenario's, else free",
+        "height of the target; free: z is estimated; null: the scenario's known height, else free",
         unit="m",
         also=(FREE,),
     )

@@ -1,24 +1,26 @@
 """EKF on times and angles of arrival at access nodes (ANs) whose own positions are uncertain [Lu
 2019, (15)-(26)].
 
-All measurements depend on the position alone, so that an update needs 3 x 3 matrices only. For each
-AN, with H (3, 3) the derivatives of (c delay, azimuth, elevation) by the position, and -H the
-derivatives by the AN's position,
+All measurements depend on the state through the position alone, so that an update needs 3 x 3
+matrices only. For one AN, v (3,) is the innovation of (c delay, azimuth, elevation), H (3, 3) their
+derivatives by the target's position, -H those by the AN's position, q (3,) their variances, and C
+the covariance of the AN's known position. An update needs
 
-    S = diag(qualities) + H C H^T,    A = sum H^T S^-1 H,    g = sum H^T S^-1 (y - h)
+    S = diag(q) + H C H^T,    A = sum H^T S^-1 H,    g = sum H^T S^-1 v,
 
-C is the covariance of an AN's position. R is block-diagonal over the ANs, because their errors are
-independent (errata U3, U4). One error common to all ANs is an additional error of the position: S
-is then without C, and A becomes A (I + C A)^-1, as printed in (23), (24).
+with sums over the ANs, because the errors of different ANs are independent (errata U3, U4). As
+printed in (23) and (24), one error is common to all ANs. It is then an additional error of the
+target's position: S is without C, and A (I + C A)^-1 and (I + A C)^-1 g replace A and g.
 
-The filter keeps a square root B of its covariance, P = B B^T. A and g are equivalent to three
-measurements of the position, u = c^T (position error) + e with e ~ N(0, 1), where A = sum c c^T and
-g = sum u c. `roots.absorb` processes the three one after the other. With p for the position, the
+The filter stores a square root B of its covariance, P = B B^T. With A = sum c c^T and g = sum u c,
+A and g are equivalent to three scalar measurements u = c^T (position error) + e, e ~ N(0, 1).
+`roots.absorb` processes these one after the other. With p for the position's rows and columns, the
 result is
 
-    x+ = x + P_:p (I + A P_pp)^-1 g,    P+ = P - P_:p (I + A P_pp)^-1 A P_p:
+    x+ = x + P_:p (I + A P_pp)^-1 g,    P+ = P - P_:p (I + A P_pp)^-1 A P_p:,
 
-or K = P H^T (H P H^T + R)^-1. P+ is positive definite for any accuracy of the measurements.
+which equals the update by the gain K = P H^T (H P H^T + R)^-1 with R block-diagonal over the ANs.
+P+ is positive definite for any variances of the measurements.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash
 
 KERNELS = "kernels.access_nodes"
 PRINTED = ("jacobian", "wrap", "shared", "cross")
-LOST = 32 * EPS  # share of a diagonal element below which the rest is rounding error
+LOST = 32 * EPS  # eigenvalue of A scaled to a diagonal of 1, below which it is rounding error
 RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 
@@ -52,7 +54,7 @@ RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 class AccessNodeEKF(Compiled, Estimator):
     """EKF with times and angles of arrival, or angles alone.
 
-    The anchors state the deviations of the ANs' positions (`position_sigma`; None: exact).
+    `Anchors.position_sigma` holds the standard deviations of the ANs' positions; None: exact.
     """
 
     toa: bool = param(True, "whether times of arrival are used beside the angles")
@@ -118,10 +120,10 @@ class AccessNodeEKF(Compiled, Estimator):
         heard_at_all = (
             angles if batch.delay is None or not self.toa else angles | np.isfinite(batch.delay)
         )
-        anyone: np.ndarray = np.any(heard_at_all, axis=0)
-        step, an = np.nonzero(anyone)
-        heard = np.full((len(anyone), max(int(anyone.sum(axis=1).max(initial=0)), 1)), -1)
-        heard[step, (np.cumsum(anyone, axis=1) - 1)[step, an]] = an
+        any_heard: np.ndarray = np.any(heard_at_all, axis=0)
+        step, an = np.nonzero(any_heard)
+        heard = np.full((len(any_heard), max(int(any_heard.sum(axis=1).max(initial=0)), 1)), -1)
+        heard[step, (np.cumsum(any_heard, axis=1) - 1)[step, an]] = an
         y = np.full((len(batch.azimuth), *heard.shape, 3), np.nan)
         q = np.ones_like(y)
         own = heard >= 0

@@ -84,16 +84,16 @@ class ParticleFilter(Compiled, Filter):
     """
 
     measurement: Measurement = param(
-        help="what the filter believes of the measurements", kind=Measurement
+        help="measurement model that the filter assumes", kind=Measurement
     )
     particles: int = param(10_000, "number of particles", least=1, most=10_000_000)
     resample_below: float = param(
         0.1,
-        "fraction of effective particles below which they are resampled",
+        "ratio of effective to all particles below which particles are resampled",
         least=0,
         most=1,
     )
-    engine: str = engine_param(double="numpy along the kernel's draws")
+    engine: str = engine_param(double="NumPy with the kernel's draws")
     tile = 1  # one replication at a time: the particles are the batch
     kernels = KERNELS
 
@@ -221,15 +221,16 @@ class ParticleFilter(Compiled, Filter):
         """The i-th replication in double precision with the kernel's draws and the ancestors that
         the kernel chose.
 
-        Resampled particles carry the ratio of the weights in double and in single precision, so
-        the result is a valid particle filter that differs from the kernel by rounding alone. With
-        its own choice of ancestors it would differ from the kernel after the first near tie as much
-        as two filters with different seeds.
+        The kernel chooses ancestors by its weights q in single precision. Each resampled particle
+        therefore carries the ratio w / q, w being its weight in double precision. The result is a
+        valid particle filter that differs from the kernel by rounding alone. If this filter chose
+        ancestors by w, rounding would change an ancestor at the first near tie, and from then on
+        both filters would differ like filters with different seeds. Raises BadValue without kernel.
         """
         kind = kind_of(self.measurement) if len(track.belief.F) == 3 else None
         compiled = None if kind is None or track.anchors.moving else load(KERNELS)
         if kind is None or compiled is None:
-            allowed = "auto or numpy where there is no kernel, or no numba"
+            allowed = "auto or numpy: double needs numba and a kernel for the model and the anchors"
             raise BadValue("engine", "double", allowed)
         chosen = np.full((len(track.Y), 2, self.particles), -1.0, dtype=np.float32)
         self._compiled(compiled, kind, track, i, streams, chosen)

@@ -83,7 +83,7 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
     """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal
     variances (T, m).
 
-    See `kernels.particle.loglik`; a value that is not measured (NaN) gets the weight 0.
+    See `kernels.particle_likelihood.loglik`; a value that is not measured (NaN) gets the weight 0.
     """
     s, R = anchors.frames[0][0] - origin, anchors.frames[1][0]
     B = len(s)

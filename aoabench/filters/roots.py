@@ -52,15 +52,17 @@ def predicted(B: Array, F: Array, Q: Array) -> Array:
 def absorb(x: Array, B: Array, f: Array, v: Array, r: Array) -> tuple[Array, Array]:
     """Mean (R, n) and factor (R, n, k) of x + B z, z ~ N(0, I), given v = f^T z + e, e ~ N(0, r).
 
-    f (R, k, m), v and r (R, m), r >= 0; a component whose v is NaN is not measured. Components are
-    processed one after the other in Potter's form: with s = r + f^T f, x += B f v / s and
-    B -= B f f^T / (s + sqrt(r s)); f and v of the remaining components change like B and x.
+    x (R, n) and B (R, n, k) are mean and factor before the m measurements v; f (R, k, m), v and r
+    (R, m), r >= 0; a measurement whose v is NaN is left out. The measurements are processed one
+    after the other in Potter's form: with s = r + f^T f, x += B f v / s and
+    B -= B f f^T / (s + sqrt(r s)). Each step also replaces v and f of the later measurements by
+    their innovations and derivatives at the new x and B.
     """
     m, missing = v.shape[1], np.isnan(v)
     f, r = np.where(missing[:, None], 0.0, f), np.where(missing, 1.0, r).T
     t = np.concatenate([np.where(missing, 0.0, -v), x], axis=1)
     E = np.concatenate([np.swapaxes(f, -1, -2), B], axis=1)
-    t, E = np.ascontiguousarray(t.T), np.ascontiguousarray(E.transpose(1, 2, 0))  # the fastest
+    t, E = np.ascontiguousarray(t.T), np.ascontiguousarray(E.transpose(1, 2, 0))  # fastest layout
     for j in range(m):
         g, rest = E[j], slice(j + 1, None)
         s = r[j] + (g * g).sum(0)

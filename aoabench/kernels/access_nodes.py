@@ -1,9 +1,9 @@
 """Kernel of the EKF at access nodes (ANs): double precision, `TILE` replications at once.
 
-The arithmetic of `filters/access_nodes.py`. The last axis of every array is the replications; the
-innermost loops run over them and call nothing. The compiler vectorises a loop of eight only where
-it sees that its arrays do not overlap. So what an update needs lies in the rows of one array `w`,
-and all the work on one AN is one loop.
+The kernel computes the recursion of `filters/access_nodes.py`. The last axis of every array runs
+over the replications; the innermost loops run over this axis and contain no calls. The compiler
+vectorises such a loop only if it can prove that its arrays do not overlap. Therefore all inputs of
+an update are rows of one array `w`, and one loop does all the work on one AN.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from aoabench.kernels.square_root import (
 TILE = 8
 
 RHO2_FLOOR = 1e-12  # m^2, as in access_nodes
-# Rows of w: position, AN's position, measured, their variances; A and g of all and of the times
-# alone; the position's factor; an update's T and z
+# First rows of w: X position, S AN's position, Y measurements, V their variances, A sums A and g,
+# A2 the same sums of the times alone, L factor of the position's covariance, T and Z of an update
 X, S, Y, V, A, A2, L, T, Z, ROWS = 0, 3, 6, 9, 12, 21, 30, 36, 45, 48
 
 
 @inlined_ordered
 def expected(u, v, w, jacobian):
-    """Range, azimuth, elevation at (u, v, w) in the AN's frame and the derivatives of each."""
+    """Range, azimuth, elevation of the point (u, v, w) in the AN's frame; derivatives of each."""
     rho2 = max(u * u + v * v, RHO2_FLOOR)
     rho, d2 = math.sqrt(rho2), rho2 + w * w
     d = math.sqrt(d2)
@@ -62,13 +62,13 @@ def product(a, C, b):
 
 @inlined_ordered
 def less(f, d, h, e, k):
-    """d - f e and h - f k: a row of the measurement, less another one."""
+    """d - f e and h - f k: residual and derivatives of a component minus f times another's."""
     return d - f * e, (h[0] - f * k[0], h[1] - f * k[1], h[2] - f * k[2])
 
 
 @inlined_ordered
 def add(w, a, r, f, d, h):
-    """A += f h h^T and g += f h d, in the rows a ... of w."""
+    """Add f h h^T to A and f h d to g; A and g are the rows of w from a on."""
     x, y, z = f * h[0], f * h[1], f * h[2]
     w[a, r] += x * h[0]
     w[a + 1, r] += y * h[0]
@@ -83,11 +83,12 @@ def add(w, a, r, f, d, h):
 
 @inlined_ordered
 def observe(w, R, c, turn, jacobian, unwrapped, linked, first):
-    """A += H^T S^-1 H, g += H^T S^-1 v of one AN; what its time says goes to the rows `first` ...
+    """Add H^T S^-1 H to A and H^T S^-1 v to g for one AN.
 
-    R (3, 3) is its rotation, c (3,) are the variances of its position; `linked` is 0 where its time
-    and angles are to be independent. The rows of H and v are freed from those before them and then
-    divided by their pivot.
+    The terms of the AN's time are added to the rows of w from `first` on. R (3, 3) is its rotation,
+    c (3,) m^2 are the variances of its position. `linked` is 0 if the covariances of time and
+    angles are left out, else 1. The components are decorrelated one after the other, and each is
+    weighted by the inverse of its remaining variance.
     """
     M = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
     C = c[0], c[1], c[2]
@@ -121,10 +122,11 @@ def observe(w, R, c, turn, jacobian, unwrapped, linked, first):
 
 @inlined_ordered
 def common(w, a, C):
-    """A (I + C A)^-1, (I + A C)^-1 g in place: one more error of the position with variances C.
+    """Replace A by A (I + C A)^-1 and g by (I + A C)^-1 g: a further error of the position.
 
-    A and g lie in the rows a ... of w. With A = c c^T, g = c u and sqrt(C) c = f, these become
-    c M M^T c^T and c M M^T u, where M is the root of (I + f^T f)^-1.
+    C (3,) m^2 are the variances of this error. A and g are the rows of w from a on. With A = c c^T,
+    g = c u and sqrt(C) c = f, the results are c M M^T c^T and c M M^T u, where M is the root of
+    (I + f^T f)^-1.
     """
     s0, s1, s2 = math.sqrt(C[0]), math.sqrt(C[1]), math.sqrt(C[2])
     for r in range(TILE):
@@ -170,12 +172,13 @@ def ekf(
     means,
     covariances,
 ):
-    """EKF of replications: means (R, T, 3) and covariances (R, T, 3, 3) from y, q (R, T, K, 3), R
-    at most TILE.
+    """EKF means (R, T, 3) m and covariances (R, T, 3, 3) m^2 of R <= TILE replications, into the
+    last two arguments.
 
-    x0 (R, n), root0, F, Q (n, n), where root0 is a lower factor of the prior's covariance; `heard`
-    (T, K) names the ANs of each step, -1 for none; position (R, B, 3), rotation (B, 3, 3); C (B, 3)
-    variances of the ANs' positions. The flags run errata as printed.
+    y, q (R, T, K, 3): measurements and their variances; x0 (R, n), root0, F, Q (n, n): prior mean,
+    lower factor of the prior covariance, motion model; heard (T, K): numbers of the ANs at each
+    step, -1 for none; position (R, B, 3) m, rotation (B, 3, 3), C (B, 3) m^2: the ANs and the
+    variances of their positions; jacobian, unwrapped, shared, apart: errata to run as printed.
     """
     (steps, K), (R, n) = heard.shape, x0.shape
     last = R - 1
@@ -230,12 +233,12 @@ def ekf(
 
 
 def run(mean, root, F, Q, y, q, heard, anchors, C, flags):
-    """Tile by tile: positions (R, T, 3) and covariances (R, T, 3, 3)."""
+    """Positions (R, T, 3) m and covariances (R, T, 3, 3) m^2, computed tile by tile."""
     R, T = y.shape[:2]
     places, rotation = anchors.frames
     places = np.broadcast_to(places, (R, *places.shape[1:]))
     position, covariance = np.empty((R, T, 3)), np.empty((R, T, 3, 3))
-    # a tile shares orientations and stated deviations: where these differ it is one replication
+    # replications of a tile share rotations and stated deviations; if these differ, it has only one
     size = TILE if len(rotation) == len(C) == 1 else 1
     for start in range(0, R, size):
         of = slice(start, min(start + size, R))

@@ -1,4 +1,4 @@
-"""Angles in double precision, to the last bits, without calls, so that loops around them vectorise.
+"""Functions of angles in double precision, without calls, so that loops around them vectorise.
 
 Each kernel compiles these functions with its own options.
 """
@@ -15,7 +15,7 @@ TURN, HALF_PI = 2.0 * math.pi, 0.5 * math.pi
 TINY = 1e-300
 _REST = 6.123233995736766e-17  # pi / 2 = HALF_PI + _REST
 
-# polynomials: arctan after halving twice, and sine, cosine within an eighth of a turn
+# coefficients of polynomials: arctan after two halvings, sine and cosine within an eighth of a turn
 _A0, _A1, _A2, _A3 = (
     1.0 - 3.3e-17,
     -0.333333333333286125,

@@ -1,8 +1,8 @@
 """The folder that keeps compiled kernels: one for each state of the kernels' source.
 
-numba compares the time stamp of the file that defines a kernel and knows nothing of what that file
-imports. So the folder's name is a hash of all these files: any change gives a new folder, and what
-other versions left in theirs is never read. Old folders stay; to delete them is safe.
+numba compares the time stamp of the file that defines a kernel, but not those of the files that it
+imports. Therefore the folder's name is a hash of all these files: any change gives a new folder,
+and kernels of other versions are never loaded. Old folders stay; they can be deleted safely.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from aoabench.types import Outcome
 
 
 class Kept(NamedTuple):
-    """The folder that keeps compiled kernels, None where none can be written, and the usual place
-    if that cannot be written.
+    """The folder of compiled kernels, None if no folder can be written, and the usual folder if it
+    cannot be written.
     """
 
     folder: Path | None
@@ -27,9 +27,10 @@ class Kept(NamedTuple):
 
 
 def kept(stated: str = "") -> Kept:
-    """The folder, created where it is missing: below `stated` (NUMBA_CACHE_DIR) if that is not
-    empty, else below the user's cache folder; where that cannot be written, below the folder for
-    temporary files.
+    """Return the folder of compiled kernels, which is created if it is missing.
+
+    It lies below `stated` (NUMBA_CACHE_DIR), or below the user's cache folder if `stated` is empty.
+    If that folder cannot be written, it lies below the folder for temporary files.
     """
     wanted = Path(stated) if stated else _user_cache()
     if found := _written(wanted / "aoabench" / source_digest()):
@@ -40,7 +41,7 @@ def kept(stated: str = "") -> Kept:
 
 
 def source_digest() -> str:
-    """A hash of everything of ours that the machine code of the kernels depends on."""
+    """Hash of the outcomes and of the files of aoabench.kernels; it identifies the machine code."""
     read = hashlib.blake2b(repr([(o.name, o.value) for o in Outcome]).encode(), digest_size=10)
     for file in sorted(Path(__file__).parent.glob("*.py")):
         text = file.read_bytes()
@@ -59,7 +60,7 @@ def _user_cache() -> Path:
 
 
 def _written(folder: Path) -> Path | None:
-    """`folder`, created where it is missing; None where no file can be written into it."""
+    """`folder`, created if it is missing; None if no file can be written into it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -69,9 +70,9 @@ def _written(folder: Path) -> Path | None:
 
 
 def _private(folder: Path) -> bool:
-    """Whether `folder`, created where it is missing, is a folder that only this user can write.
+    """Whether `folder`, created if it is missing, is a folder that only this user can write.
 
-    Everybody can create folders among the temporary files, and what the cache holds is executed.
+    Any user can create folders among the temporary files, and the cached machine code is executed.
     """
     try:
         folder.mkdir(mode=0o700, exist_ok=True)

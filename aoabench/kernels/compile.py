@@ -1,8 +1,8 @@
-"""How kernels are compiled: ahead of their first call, with a cache on disk that sees every change.
+"""Compilation of kernels before their first call, with a disk cache that notices every change.
 
-Pieces that kernels share are compiled into each kernel that uses them, so that loops around them
-vectorise: `inlined` by LLVM, with the piece's own options, and `spliced` by numba, with the options
-of the kernel.
+Functions that kernels share are inlined into each kernel, so that loops around them vectorise:
+`inlined` by LLVM, with the function's own options, and `spliced` by numba, with the options of the
+kernel.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numba import njit, types
 
 from aoabench.kernels.cache import kept
 
-config: Any = numba.config  # its names are made when numba starts
+config: Any = numba.config  # numba sets its attributes at import
 KEPT = kept(config.CACHE_DIR)
-# contract: fused multiply-add; reassoc, nsz: sums in lanes; no flag may assume that infinities do
-# not occur
+# contract: fused multiply-add; reassoc, nsz: sums in vector lanes; infinities and NaN occur, so
+# ninf and nnan are not allowed
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
 ORDERED: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}  # sums as written
 
@@ -35,7 +35,7 @@ spliced = njit(inline="always", **ORDERED)
 def kernel(
     signature: Any, options: dict[str, Any] = OPTIONS
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Compile a function for `signature` at once, or take it from the cache on disk."""
+    """Decorator that compiles a function for `signature` or loads it from the disk cache."""
 
     def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         with _cache_folder() as cache:
@@ -56,8 +56,9 @@ def given(dimensions: int, dtype: Any = types.float64) -> types.Array:
 
 @contextmanager
 def _cache_folder() -> Iterator[bool]:
-    """Let numba keep what is decorated in this context in the folder KEPT; False where there is
-    none. The folder that numba uses for other functions is restored.
+    """Yield whether KEPT has a folder; numba caches functions decorated in this context in it.
+
+    Afterwards numba uses its previous cache folder again.
     """
     with _one_at_a_time:
         before = config.CACHE_DIR

@@ -1,9 +1,9 @@
 """Kernels of the discrepancy filter: ellipses of a block of fixes at once, then each fix's vote and
 fusion.
 
-The arithmetic of `discrepancy.py`. No fix sees another one. A set of anchors is an integer whose
-most significant bit is the first anchor that measured: among sets of one size, the larger integer
-comes first in the order of anchor numbers.
+The kernels compute the same as `estimators/discrepancy.py`, and the fixes are independent. A set of
+anchors is an integer whose most significant bit is the first anchor that measured: of two sets of
+equal size, the larger integer comes first in the order of anchor numbers.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from aoabench.kernels.ellipses import (
 )
 from aoabench.kernels.small import FAILED, OK, REJECTED, ascending, has
 
-MOST = 62  # anchors that can vote
-BOXES, EXACT, NO_VOTE = range(3)  # what must have a common point
-AREA, FIRST = range(2)  # among several largest sets
-EVEN = 1e-9  # as in the reference
+MOST = 62  # anchors that can vote: the bits of a set
+BOXES, EXACT, NO_VOTE = range(3)  # regions that must have a common point
+AREA, FIRST = range(2)  # choice among several largest sets
+EVEN = 1e-9  # ratios (19) that differ by less are equal, as in estimators/discrepancy.py
 
 
 @inlined
 def count(M):
-    """How many bits of the set M are 1."""
+    """Number of anchors in the set M, which is the number of bits that are 1."""
     M = M - ((M >> 1) & 0x5555555555555555)
     M = (M & 0x3333333333333333) + ((M >> 2) & 0x3333333333333333)
     return (((M + (M >> 4)) & 0x0F0F0F0F0F0F0F0F) * 0x0101010101010101) >> 56
@@ -49,8 +49,10 @@ def count(M):
 
 @inlined
 def insert(M, sets, found):
-    """How many different sets there are, falling, after M has joined them; a larger one ousts all,
-    a smaller none.
+    """Insert M into the first `found` of `sets` and return their new number.
+
+    `sets` holds different sets of equal size, the largest integer first. A set of more anchors
+    replaces them all; a set of fewer anchors, or of fewer than two, is not inserted.
     """
     size = count(M)
     if size < 2 or (found > 0 and size < count(sets[0])):
@@ -70,10 +72,10 @@ def insert(M, sets, found):
 
 @inlined
 def common_boxes(n, e, masks, sets):
-    """The largest sets of boxes of ellipses e (8, n) with a common point, in `sets`, and how many
-    there are.
+    """Number of the largest sets of boxes of ellipses e (8, n) that have a common point.
 
-    A common box has its lower left corner at the left side of one and the lower side of one.
+    The sets go into `sets`; masks (2, V) is scratch. The lower left corner of a common box lies on
+    the left side of one of the boxes and on the lower side of one of them.
     """
     for i in range(n):
         x, y = e[MX, i] - e[HX, i], e[MY, i] - e[HY, i]
@@ -94,8 +96,9 @@ def common_boxes(n, e, masks, sets):
 
 @called
 def box_ratio(M, n, e, order, x):
-    """(19) of the boxes in the set M: their union slab by slab, between neighbouring left or right
-    sides.
+    """Ratio (19), area of the intersection to area of the union, of the boxes in the set M.
+
+    The union is a sum of slabs between neighbouring left or right sides; order and x are scratch.
     """
     m = 0
     left = low = -np.inf
@@ -108,7 +111,7 @@ def box_ratio(M, n, e, order, x):
             while k > 0 and e[MY, order[k - 1]] - e[HY, order[k - 1]] > e[MY, i] - e[HY, i]:
                 order[k] = order[k - 1]
                 k -= 1
-            order[k] = i  # by rising lower sides
+            order[k] = i  # in ascending order of the lower sides
             x[2 * m], x[2 * m + 1] = e[MX, i] - e[HX, i], e[MX, i] + e[HX, i]
             m += 1
     ascending(x, 2 * m)
@@ -127,11 +130,11 @@ def box_ratio(M, n, e, order, x):
 
 @called
 def common_ellipses(n, e, boxes, sets, points, number):
-    """The largest sets of ellipses e (8, n) with a common point, in `sets`, and how many there are.
+    """Number of the largest sets of ellipses e (8, n) that have a common point.
 
-    A common region has crossings as vertices, or it is a whole ellipse and has its centre.
-    Crossings are kept: points (2, V, V, 4), number (V, V). Only ellipses whose boxes meet, boxes
-    (V,), can have any.
+    The sets go into `sets`. A common region has crossings as vertices, or it is a whole ellipse
+    with its centre. Crossings are stored in points (2, V, V, 4) and counted in number (V, V). Only
+    ellipses whose boxes meet can cross; boxes (V,) stores these ellipses as a set for each one.
     """
     full, found, meet = (1 << n) - 1, 0, (1 << n) - 1
     for i in range(n):
@@ -169,8 +172,10 @@ def common_ellipses(n, e, boxes, sets, points, number):
 
 @inlined
 def holders(x, y, first, second, among, n, e):
-    """The set of ellipses in which (x, y) lies, of those in the set `among`; `first` and `second`
-    are known to be.
+    """The set of those ellipses in the set `among` that contain (x, y).
+
+    If (x, y) is a crossing of the ellipses `first` and `second`, these contain it without a test;
+    for any other point both are -1.
     """
     M = 0
     for l in range(n):
@@ -184,8 +189,8 @@ def holders(x, y, first, second, among, n, e):
 
 @inlined
 def fuse(M, n, e):
-    """Mean x, y and covariance xx, xy, yy of the product of the normals in the set M (all n where M
-    is negative).
+    """Mean x, y and covariance xx, xy, yy of the product of the normals in the set M (all n if M is
+    negative).
     """
     x0 = y0 = jxx = jxy = jyy = gx = gy = 0.0
     first = True
@@ -242,13 +247,13 @@ def discrepancy(
     outcome,
     used,
 ):
-    """Position (N, 3), covariance (N, 3, 3), outcome and number of anchors used (N,) of each fix
-    from angles (N, B).
+    """Position (N, 3) m, covariance (N, 3, 3) m^2, outcome and number of anchors used (N,) of each
+    fix from angles (N, B) rad.
 
     centre: MIDPOINT or ESTIMATE; intersection: BOXES, EXACT or NO_VOTE; ties: AREA or FIRST; least:
     tangent of the smallest angle between ray and plane; sines (4,): sin, cos of the azimuth's
-    deviation, then of the elevation's; minimum m of the half-axes; s (B, 3) m and R (B, 3, 3) of
-    the anchors; height m of the plane.
+    deviation, then of the elevation's; minimum: lower limit m of the half-axes; s (B, 3) m and
+    R (B, 3, 3) of the anchors; height m of the plane.
     """
     N, J = azimuth.shape
     V = min(J, MOST)

@@ -1,7 +1,7 @@
-"""Ellipses in a plane: uncertain angles projected to it, crossings of two, areas of several.
+"""Ellipses in a plane: projection of uncertain angles, crossings of two, areas of several.
 
-The arithmetic of `estimators/ellipses.py`. `project` runs over blocks of `BLOCK` fixes, padded with
-NaN, without calls or branches, so that the compiler vectorises it.
+The functions compute the same as `estimators/ellipses.py`. `project` runs over blocks of `BLOCK`
+fixes, padded with NaN. It contains no calls or branches, so that the compiler vectorises it.
 """
 
 from __future__ import annotations
@@ -13,19 +13,21 @@ from aoabench.kernels.compile import called, inlined
 from aoabench.kernels.small import ascending, has
 
 BLOCK = 64
-MIDPOINT, ESTIMATE = range(2)  # what an ellipse is centred on
-# an ellipse: centre, direction of a, half-axes a and b, half sides of its box
+MIDPOINT, ESTIMATE = range(2)  # centre of an ellipse
+# rows of an ellipse: centre, direction of a, half-axes a and b, half sides of its box
 MX, MY, UX, UY, A, B, HX, HY = range(8)
-UNKNOWN, SAME = -2, -1  # instead of a number of crossings
+UNKNOWN, SAME = -2, -1  # in place of a number of crossings: not yet computed; equal ellipses
 
-TOUCH = 1e-9  # as in the reference
+TOUCH = 1e-9  # tolerance for rounding of a level of 1, as in estimators/ellipses.py
 CLOSE, TINY = 1e-7, 1e-140
 
 
 @inlined
 def on_plane(x, y, z, R, h, side, least):
-    """f of (12) and (14): where the ray (x, y, z) of the anchor's frame meets the plane, from the
-    anchor's foot on.
+    """f of (12) and (14): the point x, y m, relative to the anchor, where the ray (x, y, z) in the
+    anchor's frame meets the plane.
+
+    h: distance m of the plane; side: 1 if the plane is above the anchor, else -1.
     """
     u = R[0, 0] * x + R[1, 0] * y + R[2, 0] * z
     v = R[0, 1] * x + R[1, 1] * y + R[2, 1] * z
@@ -36,9 +38,10 @@ def on_plane(x, y, z, R, h, side, least):
 
 @inlined
 def project(centre, azimuth, elevation, s, R, to_plane, least, sines, minimum, e):
-    """Ellipses e (8, BLOCK) from angles (BLOCK,) of one anchor: s (3,) m, R (3, 3), to_plane m its
-    height over it.
+    """Ellipses e (8, BLOCK) from angles (BLOCK,) rad of one anchor with position s (3,) m and
+    rotation R (3, 3).
 
+    to_plane: height m of the plane above the anchor; minimum: lower limit m of the half-axes;
     centre: MIDPOINT or ESTIMATE; least: tangent of the smallest angle between ray and plane; sines:
     sin, cos of the azimuth's deviation, then of the elevation's.
     """
@@ -105,8 +108,8 @@ def level(x, y, i, e):
 
 @inlined
 def outer_extremum(near, far, gap):
-    """The root delta > 0 of near^2 / delta^2 + far^2 / (delta + gap)^2 = 1, by Newton from below on
-    1 / sqrt.
+    """The root delta > 0 of near^2 / delta^2 + far^2 / (delta + gap)^2 = 1, by Newton's method
+    from below on 1 / sqrt of the left side.
     """
     delta = max(near, far - gap)
     for _ in range(50):
@@ -122,8 +125,8 @@ def outer_extremum(near, far, gap):
 
 @inlined
 def inner_extremum(near, far, gap):
-    """The smaller root delta < gap of near^2 / delta^2 + far^2 / (gap - delta)^2 = 1; -1 where
-    there is none.
+    """The smaller root delta < gap of near^2 / delta^2 + far^2 / (gap - delta)^2 = 1; -1 if it does
+    not exist.
     """
     delta = near
     for _ in range(50):
@@ -142,7 +145,7 @@ def inner_extremum(near, far, gap):
 
 @inlined
 def unit(x, y):
-    """(x, y) at length 1."""
+    """(x, y) scaled to length 1."""
     over = 1.0 / math.sqrt(x * x + y * y)
     return x * over, y * over
 
@@ -156,8 +159,8 @@ def excess_at(c, s, q):
 
 @called
 def crossing(low, high, rising, q):
-    """The angle between `low` and `high`, where the level passes 1: Newton, kept in the bracket by
-    bisection.
+    """The angle in rad between `low` and `high` at which the level passes 1, by Newton's method,
+    with bisection if a step leaves the bracket.
     """
     t = 0.5 * (low + high)
     for _ in range(80):
@@ -178,13 +181,13 @@ def crossing(low, high, rising, q):
 
 @called
 def crossings(i, j, e, px, py):
-    """Points px, py (4,) where the boundaries of two ellipses cross or touch from outside; their
-    number, or SAME.
+    """Number of points where the boundaries of two ellipses cross or touch from outside, or SAME.
 
-    In the frame where the first is the unit circle, turned to the axes of the second's form, the
-    level's extrema on the circle solve a secular equation: the least in the first quadrant, the
-    greatest in the third, and maybe one more of each in the fourth, nearer to the first axis the
-    maximum. Between neighbours a change of sign brackets one crossing.
+    The points go into px, py (4,). In the frame where the first ellipse is the unit circle, turned
+    to the axes of the second's quadratic form, the extrema of the second's level on the circle
+    solve a secular equation. The minimum lies in the first quadrant and the maximum in the third.
+    The fourth quadrant may contain one more of each, of which the maximum is nearer to the first
+    axis. A change of sign between neighbouring extrema brackets one crossing.
     """
     u0, v0 = seen_from(e[MX, i], e[MY, i], j, e)
     c, s = e[UX, i] * e[UX, j] + e[UY, i] * e[UY, j], e[UY, i] * e[UX, j] - e[UX, i] * e[UY, j]
@@ -252,7 +255,7 @@ def crossings(i, j, e, px, py):
 
 @called
 def area_ratio(M, n, e, points, number, order, t):
-    """(19) of the ellipses in the set M, by Green's theorem over arcs between their crossings."""
+    """Ratio (19) of the ellipses in the set M, by Green's theorem over arcs between crossings."""
     m = 0
     for i in range(n):
         if has(M, i, n):
@@ -262,7 +265,7 @@ def area_ratio(M, n, e, points, number, order, t):
                 if number[j, i] == UNKNOWN:
                     number[j, i] = crossings(j, i, e, points[0, j, i], points[1, j, i])
                 if number[j, i] == SAME:
-                    m -= 1  # one of them is enough
+                    m -= 1  # equal ellipses are counted once
                     break
             m += 1
     x0, y0 = e[MX, order[0]], e[MY, order[0]]
@@ -298,7 +301,7 @@ def area_ratio(M, n, e, points, number, order, t):
 
 @inlined
 def on_boundary(t, i, e):
-    """The point of the i-th ellipse at the angle t."""
+    """The boundary point of the i-th ellipse at the angle t."""
     s, c = sine_cosine(t)
     x, y = e[A, i] * c, e[B, i] * s
     return e[MX, i] + x * e[UX, i] - y * e[UY, i], e[MY, i] + x * e[UY, i] + y * e[UX, i]

@@ -1,4 +1,4 @@
-"""Getting compiled kernels ready; without numba everything runs in NumPy."""
+"""Loading of compiled kernels; without numba all estimators run in NumPy."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from aoabench.types import Anchors
 
 
 def engine_param(**more: str) -> Any:
-    """The parameter `engine` of an estimator with kernels; `more` choices and their meanings."""
-    meanings = {"auto": "compiled kernels where there are some", "numpy": "none", **more}
+    """The parameter `engine` of an estimator with kernels; `more`: further choices and meanings."""
+    meanings = {"auto": "compiled kernels if available", "numpy": "NumPy alone", **more}
     help = "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items())
     return param("auto", help, choices=tuple(meanings))
 
 
 class Compiled:
-    """Part of an estimator: compiled kernels for the engine `auto`, NumPy for `numpy`."""
+    """Mixin of estimators: compiled kernels for the engine `auto`, NumPy for `numpy`."""
 
     engine: str
     kernels: ClassVar[str]  # the module that holds them
 
     def prepare(self, say: Callable[[str], None]) -> None:
-        """Compile or load the kernels, once, before others work in parallel."""
+        """Compile or load the kernels before workers run in parallel; `say` prints a line."""
         if self.engine == "auto":
             prepare(self.kernels, say)
 
     def compiled(self, anchors: Anchors) -> ModuleType | None:
-        """The kernels; None where NumPy computes. Kernels take anchors that do not move."""
+        """The module of the kernels; None if NumPy is used, as it is for moving anchors."""
         return load(self.kernels) if self.engine == "auto" and not anchors.moving else None
 
 
 @cache
 def load(name: str) -> ModuleType | None:
-    """The module aoabench.`name`, compiled or from the disk cache; None where numba is missing."""
+    """The module aoabench.`name`, compiled or from the disk cache; None if numba is missing."""
     try:
         importlib.import_module("numba")
     except ImportError:
@@ -47,32 +47,33 @@ def load(name: str) -> ModuleType | None:
 
 
 def prepare(name: str, say: Callable[[str], None]) -> None:
-    """`load`; `say` gets a line once numba compiles something, and where numba is missing.
+    """Load the module aoabench.`name`; `say` prints a line when numba starts to compile it, or if
+    numba is missing.
 
-    What comes from the cache on disk is not compiled.
+    Kernels from the disk cache are loaded without compiling, and no line is printed.
     """
     with _reporting(say):
         found = load(name)
     if found is None:
         say(
-            "numba is not installed: filters run in NumPy, "
-            "particle filters some 50 times slower; pip install numba"
+            "numba is not installed: estimators run in NumPy, particle filters about 50 times "
+            "slower; to install it: pip install numba"
         )
 
 
 def _compiling() -> str:
-    """The line that numba compiles, and where the result goes if that is not the usual folder."""
+    """The line printed when numba compiles; it names a cache folder other than the usual one."""
     from aoabench.kernels.compile import KEPT
 
     often = "once" if KEPT.folder else "each time"
     place = f"; {KEPT.refused} cannot be written" if KEPT.refused else ""
-    place += f", they are kept in {KEPT.folder}" if place and KEPT.folder else ""
+    place += f", the kernels are stored in {KEPT.folder}" if place and KEPT.folder else ""
     return f"compiling kernels for this machine ({often}, about half a minute{place}) ..."
 
 
 @contextmanager
 def _reporting(say: Callable[[str], None]) -> Iterator[None]:
-    """Say `_compiling` when numba starts to compile for the first time in this context."""
+    """Print the line of `_compiling` when numba first starts to compile in this context."""
     try:
         from numba.core import event
     except ImportError:
@@ -80,11 +81,11 @@ def _reporting(say: Callable[[str], None]) -> Iterator[None]:
         return
 
     class Listener(event.Listener):
-        told = False
+        reported = False
 
         def on_start(self, event: object) -> None:
-            if not self.told:
-                self.told = True
+            if not self.reported:
+                self.reported = True
                 say(_compiling())
 
         def on_end(self, event: object) -> None:

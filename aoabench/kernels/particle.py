@@ -1,12 +1,12 @@
 """Particle filter kernels: single precision, vectorised over particles, random numbers by counter.
 
-The arithmetic is `filters/particle.py`'s. What differs is the order and the precision:
+The kernels compute the same as `filters/particle.py`, in another order and precision:
 
 - positions are relative to the prior's mean;
-- loops run over tiles of `TILE` particles, the last one padded with weight 0, so that the compiler
-  vectorises them: no calls inside, arrays contiguous, constant length;
-- sums of weights are single precision within a tile and double over tiles; cumulative weights are
-  double.
+- loops run over tiles of `TILE` particles, the last one padded with weight 0; they have no calls,
+  contiguous arrays and a constant length, so that the compiler vectorises them;
+- sums of weights have single precision within a tile and double precision over tiles; cumulative
+  weights have double precision.
 
 `tests/theory/test_particle_kernels.py` reads the generated machine code.
 """
@@ -23,7 +23,7 @@ from aoabench.kernels.particle_likelihood import SCRATCH, loglik_tile, stack
 from aoabench.kernels.philox import TILE, f8, normals, turn, u4, u8
 from aoabench.kernels.single import ZERO, exponential, f4, i4, larger
 
-LONELY = 1.00001  # an effective number of particles that has no covariance
+ONE_PARTICLE = 1.00001  # effective number up to which the covariance is only rounding error
 
 
 @inlined
@@ -39,8 +39,9 @@ def move(x, y, z, n0, n1, n2, F, b, L):
 
 @inlined
 def weigh(x, y, z, log_w, w, top, c):
-    """Weights of one tile, relative to the largest one's logarithm `top`; their sum, their
-    squares', first moments.
+    """Sums over one tile of the weights, of their squares and of the first moments about c.
+
+    The weights, relative to the largest one with the logarithm `top`, go into w.
     """
     a = a2 = ax = ay = az = ZERO
     for i in range(TILE):
@@ -97,8 +98,8 @@ def spread(x, y, z, w, c):
 
 @inlined
 def first_children(cumulative, scale, offset, end, first):
-    """The places where particles i + 1 have their first child, at most `end`; `cumulative` begins
-    at `offset`.
+    """Index of the first child of each particle i + 1, at most `end`, into `first`; the scaled
+    cumulative weights begin at `offset`.
     """
     for i in range(len(cumulative)):
         first[i] = min(i4(math.ceil(cumulative[i] * scale + offset)), end)
@@ -106,16 +107,17 @@ def first_children(cumulative, scale, offset, end, first):
 
 @kernel("void(f4[::1], i8, f8, f8[::1], i4[::1], f4[::1], f4[:,::1], f4[:,::1])")
 def resample(w, N, uniform, cumulative, first, parent, x, children):
-    """Systematic resampling of particles x (3, M) with weights w (M,), 0 from N on, and one uniform
-    in [0, 1).
+    """Systematic resampling of particles x (3, M) with weights w (M,), 0 from N on, into children
+    (3, M), with one `uniform` in [0, 1).
 
-    Particle i + 1 has its first child where the weights up to i end. Of several with the same place
-    the last one has it, the others have no children; a running maximum finds the parent of the
-    other children. Without a branch that could be mispredicted: the numbers of parents are float32,
-    exact to 2^24. `cumulative`, `first` (M,), `parent` (M + 1,): scratch.
+    The first child of particle i + 1 is the first point above the cumulative weight of particle i.
+    If several particles have the same first child, the last of them is its parent and the others
+    have no children. A running maximum over the parents of first children gives the parents of all
+    children, without a branch that could be mispredicted. Numbers of parents are float32, exact up
+    to 2^24. `cumulative`, `first` (M,) and `parent` (M + 1,) are scratch.
     """
     q = len(w) // 4
-    c0 = c1 = c2 = c3 = 0.0  # four quarters at once: sums that need not wait for each other
+    c0 = c1 = c2 = c3 = 0.0  # independent sums of four quarters, which the processor overlaps
     for i in range(q):
         c0 += w[i]
         cumulative[i] = c0
@@ -179,11 +181,11 @@ def lap(
     """One replication: posterior means, covariances and effective numbers of particles into out (T,
     13).
 
-    `terms` (T, B, TERMS) and `table` as for `loglik`; positions relative to the prior's mean, with
-    theta = F theta + b + n. `noise` (T + 1, 3, M), M the padded N, holds the normals of the prior
-    and of each step; with (1, 3, M) they are drawn here. `chosen` (T, 2, N) receives, at each step
-    that ends in resampling, every particle's parent and the weights that parents were chosen by;
-    with (0, 2, N) they are not kept.
+    `terms` (T, B, TERMS) and `table` as for `loglik`; positions are relative to the prior's mean,
+    with theta = F theta + b + n. `noise` (T + 1, 3, M), M = N rounded up to whole tiles, holds the
+    normals of the prior and of each step; if it is (1, 3, M), the kernel draws them into it.
+    `chosen` (T, 2, N) receives, at each step that ends in resampling, every particle's parent and
+    the weights by which parents were chosen; if it is (0, 2, N), they are not stored.
     """
     M = noise.shape[2]
     T = terms.shape[0]
@@ -228,7 +230,7 @@ def lap(
         xx, xy, xz, yy, yz, zz = spread(x, y, z, w, c)
         row = out[k]
         row[0], row[1], row[2], row[12] = mx, my, mz, effective
-        if effective < LONELY:  # what is left are rounding errors
+        if effective < ONE_PARTICLE:  # the covariance is 0
             S = math.inf
         row[3], row[7], row[11] = xx / S, yy / S, zz / S
         row[4] = row[6] = xy / S

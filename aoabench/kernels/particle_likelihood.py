@@ -1,6 +1,6 @@
 """Log likelihoods of a tile of particles, in single precision.
 
-Azimuths are measured from the measured azimuth (the anchor's frame is turned by it), so that no
+Azimuths are relative to the measured azimuth, because the anchor's frame is turned by it. So no
 difference of angles needs wrapping: |a| = 2 atan(|y| / (rho + |x|)).
 """
 
@@ -25,18 +25,18 @@ SCRATCH = 8 * TILE
 TERMS = 15  # columns of the table of coefficients; see `loglik`
 
 FOUR, HALF_PI = f4(4.0), f4(math.pi / 2)
-TINY = f4(1e-30)  # m^2 or m: a particle on its anchor, or on its pole
+TINY = f4(1e-30)  # m^2 or m: avoids 0 / 0 for a particle at an anchor or on its pole axis
 DEGREES, NINETY = f4(180.0 / math.pi), f4(90.0)
 _0, _180 = i4(0), i4(180)
 
 
 @intrinsic
 def stack(typingctx: Any, size: Any) -> Any:
-    """`size` float32 on the stack: nothing else can point there, so loops need no check for
-    overlaps.
+    """Pointer to `size` float32 on the stack; no other pointer can reach them, so that loops need
+    no check for overlaps.
     """
     if not isinstance(size, types.IntegerLiteral):
-        return None  # the compiler asks again with the constant
+        return None  # numba types the call again with the constant
     n = size.literal_value
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -49,10 +49,10 @@ def stack(typingctx: Any, size: Any) -> Any:
 
 @intrinsic
 def copy_pair(typingctx: Any, source: Any, i: Any, target: Any, k: Any) -> Any:
-    """target[2 k], target[2 k + 1] = source[2 i], source[2 i + 1] in one go of 64 bits.
+    """target[2 k], target[2 k + 1] = source[2 i], source[2 i + 1] in one access of 64 bits.
 
-    The load is atomic to keep the compiler from gathering, which is several times slower than what
-    it replaces.
+    The load is atomic, so that the compiler does not replace it by gather instructions, which are
+    several times slower.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -82,7 +82,8 @@ def turned(x, y, z, t, out):
     """One tile's particles in the turned frame of the anchor with terms t, into the first three
     tiles of out.
 
-    A loop of its own: together with `angles` its constants would not fit into the registers.
+    It has a loop of its own, because its constants and those of `angles` do not fit into the
+    registers together.
     """
     for i in range(TILE):
         px, py, pz = x[i] - t[0], y[i] - t[1], z[i] - t[2]
@@ -158,18 +159,18 @@ def loglik_tile(kind, x, y, z, terms, table, out, scratch):
 
 @kernel("void(i8, f4[::1], f4[::1], f4[::1], f4[:,::1], f4[::1], f4[::1])")
 def loglik(kind, x, y, z, terms, table, out):
-    """Log likelihood of one step, less what is the same for all particles, into out (N,), N a
-    multiple of TILE.
+    """Log likelihood of one step into out (N,), N a multiple of TILE, without terms that are equal
+    for all particles.
 
-    x, y, z (N,) m relative to the origin. One row of `terms` (B, TERMS) for each anchor; its
-    position first, then
+    x, y, z (N,) m are relative to the origin. `terms` (B, TERMS) has one row for each anchor: its
+    position, then
 
     - UNIT_VECTOR: the measured direction in the global frame, kappa / 2
     - AZEL: the rotation into the anchor's frame turned by the measured azimuth, the measured
       elevation, 1 / (2 variance) of azimuth and of elevation
-    - AZEL_ADAPTIVE: the same with 1 or 0 (measured or not) in place of these two; they stand in
-      `table` (4 x 181), in pairs for -90, -89 ... 90 degrees of elevation, and after them half
-      their logarithms.
+    - AZEL_ADAPTIVE: the same with 1 or 0 (measured or not) in place of each 1 / (2 variance);
+      `table` (4 x 181) holds the pairs of 1 / (2 variance) at elevations of -90, -89 ... 90
+      degrees, then half the logarithms of these.
     """
     tile, scratch = carray(stack(TILE), TILE), carray(stack(SCRATCH), SCRATCH)
     for o in range(0, len(x), TILE):

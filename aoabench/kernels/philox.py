@@ -1,7 +1,7 @@
 """Random numbers by counter: Philox4x32-10 [Salmon et al., SC 2011] and standard normals from it.
 
-The counter is (place, step, replication, stream), so every filter of a replication draws the same
-numbers, whoever computes them, and as many as it needs.
+The counter is (index, step, replication, stream). So every filter of a replication draws the same
+numbers, on any worker and for any number of particles.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _M0, _M1, _W0, _W1 = u8(0xD2511F53), u8(0xCD9E8D57), u8(0x9E3779B9), u8(0xBB67AE
 
 @inlined
 def circle(k):
-    """A point (sin, cos) of the unit circle from 32 random bits: the quarter from two of them, the
-    angle in it.
+    """(sin, cos) of a uniform angle from 32 random bits: two of them choose the quarter, the others
+    the angle in it.
     """
     q = i4(k >> u4(30))
     f = f4(i4(k & u4(0x3FFFFFFF))) * f4(2.0**-30) - HALF
@@ -64,7 +64,7 @@ def philox(c0, c1, c2, c3, k0, k1):
 
 @inlined
 def four_normals(counter, step, replication, k0, k1):
-    """Box and Muller on the four words of one counter."""
+    """Four standard normals from the four words of one counter, by Box and Muller."""
     a, b, c, d = philox(counter, step, replication, u8(NORMALS), k0, k1)
     r, t = radius(a), radius(c)
     s0, c0 = circle(b)

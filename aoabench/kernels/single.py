@@ -18,7 +18,8 @@ from aoabench.kernels.compile import inlined
 f4, i4 = np.float32, np.int32
 
 ZERO, HALF, ONE = f4(0.0), f4(0.5), f4(1.0)
-# smaller weights would not be seen beside the largest, 1, and their squares would be denormal
+# logarithm below which a weight is 0: beside the largest weight, 1, it would not change a sum, and
+# its square would be denormal
 LOWEST = f4(-40.0)
 LOG2, LOG2E = f4(math.log(2.0)), f4(1.0 / math.log(2.0))
 
@@ -71,7 +72,7 @@ def arctan(t):
 
 @inlined
 def exponential(x):
-    """exp(x), x <= 0; relative error below 4e-6 (3e-7 for x > -1), and 0 from x = -40 down"""
+    """exp(x), x <= 0; relative error below 4e-6 (3e-7 for x > -1); 0 for x <= -40."""
     v = larger(x, LOWEST) * LOG2E
     k = np.floor(v + HALF)
     f = v - k

@@ -1,4 +1,4 @@
-"""Small pieces that several kernels share: numbers with a meaning, three linear equations, sets."""
+"""Constants and small functions that several kernels share: codes, linear equations, sets."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from aoabench.types import Outcome
 OK, REJECTED, OSCILLATED, DIVERGED, FAILED = (
     int(Outcome[name]) for name in ("OK", "REJECTED", "OSCILLATED", "DIVERGED", "FAILED")
 )
-UNIT_VECTOR, AZEL, AZEL_ADAPTIVE = range(3)  # measurement models, in the order of filters.compiled
-SINGULAR = 1e-12  # of a pivot relative to its diagonal element
+UNIT_VECTOR, AZEL, AZEL_ADAPTIVE = range(3)  # measurement models, as in filters.compiled
+SINGULAR = 1e-12  # least ratio of a pivot to its diagonal element
 
 
 @inlined
 def solve(a00, a10, a11, a20, a21, a22, g0, g1, g2):
-    """A^-1 g by Cholesky and whether the pivots are sound."""
+    """A^-1 g by Cholesky, A symmetric (3, 3), and whether A is positive definite."""
     l10, l20 = a10 / a00, a20 / a00
     d1 = a11 - l10 * a10
     e = a21 - l20 * a10
@@ -29,7 +29,7 @@ def solve(a00, a10, a11, a20, a21, a22, g0, g1, g2):
 
 @inlined
 def has(M, i, n):
-    """Whether the set M has the i-th of n anchors."""
+    """Whether the set M contains the i-th of n anchors."""
     return (M >> (n - 1 - i)) & 1 == 1
 
 

@@ -1,9 +1,9 @@
 """Kernels of the snapshot estimators: least squares and Gauss-Newton on azimuth and elevation, one
 fix after the other.
 
-The arithmetic of `least_squares.py` and `maximum_likelihood.py`. Within a fix the loops run over
-the anchors, padded with weight 0 to a multiple of `LANES`, without calls, so that the compiler
-vectorises them; no fix sees another one.
+The kernels compute the same as `estimators/least_squares.py` and `maximum_likelihood.py`. Within a
+fix the loops run over the anchors, padded with weight 0 to a multiple of `LANES`, and contain no
+calls, so that the compiler vectorises them. Fixes are independent.
 """
 
 from __future__ import annotations
@@ -18,19 +18,20 @@ from aoabench.kernels.compile import given, inlined, kernel
 from aoabench.kernels.small import DIVERGED, FAILED, OK, OSCILLATED, SINGULAR, solve
 
 LANES = 4
-ARCTAN, ATAN2, KCORR = range(3)  # what an azimuth's difference means
-AS_MEANT, SIGN, SWAPPED = range(3)  # errata as printed
-PRINTED, INVARIANT = range(2)  # the elevation's rows
-FAR = 1e9
+ARCTAN, ATAN2, KCORR = range(3)  # definitions of the azimuth's difference
+CORRECTED, SIGN, SWAPPED = range(3)  # erratum to run as printed: none, L1, L2
+PRINTED, INVARIANT = range(2)  # equations of the elevation
+FAR = 1e9  # m; an iteration beyond this distance diverges
 
 
 @inlined
 def planes(rows, phi, theta, wa, we, s, R):
-    """Least-squares position from one fix's angles (B,), relative to the origin of s (3, B); R (3,
-    3, B).
+    """Least-squares position x, y, z m from one fix's angles (B,) rad, and whether the equations
+    determine it.
 
-    And whether the equations determine it: planes through one single place always meet there,
-    whatever was measured.
+    The position and the anchors s (3, B) m have the same origin; R (3, 3, B). The equations do not
+    determine a position if all anchors that measured are at one place, because their planes meet
+    at this place for all measurements.
     """
     a00 = a10 = a11 = a20 = a21 = a22 = g0 = g1 = g2 = 0.0
     n = mx = my = mz = m2 = 0.0
@@ -68,13 +69,13 @@ def planes(rows, phi, theta, wa, we, s, R):
     x, y, z, sound = solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
     apart = (
         n * m2 - mx * mx - my * my - mz * mz
-    )  # sum of the squared distances between any two of them
+    )  # sum of the squared distances between all pairs of anchors
     return x, y, z, sound & (apart > SINGULAR * n * m2)
 
 
 @inlined
 def update(azimuth, printed, x, y, z, phi, theta, wa, we, s, R):
-    """One Gauss-Newton step from (x, y, z) and whether its normal matrix is sound."""
+    """One Gauss-Newton step from (x, y, z), and whether its normal matrix is positive definite."""
     a00 = a10 = a11 = a20 = a21 = a22 = g0 = g1 = g2 = 0.0
     for j in range(len(phi)):
         dx, dy, dz = x - s[0, j], y - s[1, j], z - s[2, j]
@@ -133,9 +134,9 @@ def update(azimuth, printed, x, y, z, phi, theta, wa, we, s, R):
 def gauss_newton(
     azimuth, printed, rows, tolerance, updates, phi, theta, wa, we, s, R, x, outcome, count
 ):
-    """Position x (N, 3), outcome and number of updates (N,) of each fix from its angles (N, B).
+    """Position x (N, 3) m, outcome and number of updates (N,) of each fix from angles (N, B) rad.
 
-    wa, we (N, B): 1 / variance, 0 where not measured (the angle is then any number); s (3, B)
+    wa, we (N, B): 1 / variance, 0 if not measured (the angle is then any number); s (3, B) m:
     anchors relative to the origin, R (3, 3, B). `updates` = 0: least squares alone.
     """
     for n in range(len(phi)):

@@ -1,8 +1,9 @@
-"""Square roots of covariances: what the filters that carry one share, in double precision.
+"""Functions of filters that store a square root of their covariance, in double precision.
 
-The last axis of every array is `tile` replications, a constant of the kernel. A filter's array `w`
-holds, in rows that the caller names: the sums A (6) and g (3) of a step's measurements, A's lower
-half row by row and g after it; the lower factor L (6) of the position's covariance; T (9), z (3).
+The last axis of every array has the length `tile`, a number of replications that is a constant of
+the kernel. A filter's array `w` holds, in rows that the caller names, the sums A (6, the lower half
+row by row) and after it g (3) of a step's measurements, the lower factor L (6) of the position's
+covariance, and T (9) and z (3) of `update`.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ import math
 from aoabench.kernels.compile import inlined_ordered, spliced
 
 EPS = 2.0**-52
-LOST = 32.0 * EPS  # of a diagonal element: what is left of it is rounding
+LOST = 32.0 * EPS  # share of a diagonal element; a pivot below it is rounding error
 
 
 @spliced
 def predict(tile, x, root, F, Q, P, FR, Fx):
-    """x = F x and the lower half of P = F root (F root)^T + Q, raised so that it has a factor.
+    """Predict: x = F x, and the lower half of P = F root (F root)^T + Q with an increased diagonal.
 
-    The diagonal grows by more than the sums, and their Cholesky factor, lose in rounding.
+    The increase exceeds the rounding errors of the sums and of the Cholesky factor, so that P is
+    positive definite.
     """
     n = len(x)
     raised = 1.0 + 2.0 * n * n * EPS
@@ -92,7 +94,7 @@ def inverse_root(p, least):
 
 @inlined_ordered
 def back(first, second, third, c):
-    """c (3,) with the swaps undone."""
+    """c (3,) without the swaps of `columns`."""
     x, y, z = c
     y, z = swapped(third, y, z)
     x, z = swapped(second, x, z)
@@ -102,10 +104,10 @@ def back(first, second, third, c):
 
 @inlined_ordered
 def columns(w, a, r):
-    """c0, u0, c1, u1, c2, u2 with A = sum c c^T and g = sum u c: three scalar measurements, c (3,).
+    """c0, u0, c1, u1, c2, u2 with A = sum c c^T and g = sum u c, each c (3,) and u a number.
 
-    A Cholesky factor of A, the largest pivot first. A pivot that is lost in the rounding of A's
-    diagonal is no information: its column is 0.
+    The columns c are a Cholesky factor of A, the largest pivot first. A pivot below the rounding
+    error of A's diagonal carries no information, and its column is 0.
     """
     a00, a10, a11 = w[a, r], w[a + 1, r], w[a + 2, r]
     a20, a21, a22 = w[a + 3, r], w[a + 4, r], w[a + 5, r]
@@ -139,10 +141,11 @@ def columns(w, a, r):
 
 @inlined_ordered
 def absorb(M, z, h, u):
-    """M and z after one more measurement u = h^T z + e, e ~ N(0, 1), in Potter's form.
+    """Mean z and factor M of a normal N(z, M M^T) after a measurement u = h^T z + e, e ~ N(0, 1).
 
-    z ~ N(z, M M^T), M (9,) row by row. With f = M^T h and s = 1 + f^T f, z += M f (u - h^T z) / s
-    and M -= M f f^T / (s + sqrt(s)), which shrinks M and never more than to 0.
+    M (9,) is stored row by row. In Potter's form, with f = M^T h and s = 1 + f^T f,
+    z += M f (u - h^T z) / s and M -= M f f^T / (s + sqrt(s)). The second step multiplies M f by
+    1 / sqrt(s), so M M^T stays positive semidefinite.
     """
     f = turned(h, M)
     s = 1.0 + f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
@@ -163,7 +166,7 @@ def absorb(M, z, h, u):
 
 @spliced
 def update(tile, w, A, L, T, Z):
-    """T (3, 3) and z (3,): A and g turn x into x + L z and the factor L of P_pp into L T."""
+    """T (3, 3) and z (3,) from A, g and L: an update gives x + L z and the factor L T of P_pp."""
     for r in range(tile):
         l00, l10, l11 = w[L, r], w[L + 1, r], w[L + 2, r]
         l20, l21, l22 = w[L + 3, r], w[L + 4, r], w[L + 5, r]
@@ -183,7 +186,7 @@ def update(tile, w, A, L, T, Z):
 
 @spliced
 def conclude(tile, x, root, w, T, Z):
-    """x += L_:p z and L_:p = L_:p T; the other columns of the factor stay."""
+    """Apply an update: x += L_:p z and L_:p = L_:p T; other columns of the factor do not change."""
     for i in range(len(x)):
         for r in range(tile):
             a = root[i, 0, r]
@@ -196,7 +199,7 @@ def conclude(tile, x, root, w, T, Z):
 
 @spliced
 def store(tile, x, root, start, k, means, covariances):
-    """Position and its covariance at step k; its diagonal raised, as in `predict`."""
+    """Store position and covariance at step k, with an increased diagonal as in `predict`."""
     for r in range(min(tile, len(means) - start)):
         for p in range(3):
             means[start + r, k, p] = x[p, r]

@@ -120,17 +120,17 @@ def cep_interval(
     """Interval of a quantile of all fixes' errors (R, T) m (NaN: no fix), whose independent units
     lie along `axis`.
 
-    For horizontal errors this is the circular error probable, CEP50, CEP90, .. Axis 0:
+    For horizontal errors this is the circular error probable, CEP50, CEP90 and so on. Axis 0:
     replications; axis 1: positions that all replications share. Woodruff's method: the empirical
     quantile function maps the interval of the share of fixes below the estimate, a ratio of means
     over the units, to errors.
     """
     e = np.moveaxis(np.atleast_2d(np.asarray(error, dtype=float)), axis, 0)
-    there = np.isfinite(e)
-    pooled = e[there]
+    known = np.isfinite(e)
+    pooled = e[known]
     if len(e) < 2 or len(pooled) == 0:
         return NOTHING
-    fixes, below = there.sum(axis=1), (there & (e <= np.quantile(pooled, probability))).sum(axis=1)
+    fixes, below = known.sum(axis=1), (known & (e <= np.quantile(pooled, probability))).sum(axis=1)
     influence = (below - fixes * below.sum() / fixes.sum()) / fixes.mean()
     half = normal_quantile(confidence) * float(influence.std(ddof=1)) / math.sqrt(len(e))
     low, high = np.quantile(pooled, np.clip([probability - half, probability + half], 0.0, 1.0))
@@ -150,8 +150,9 @@ class Band:
 def cdf_band(values: ArrayLike, confidence: float = 0.95, pointwise: bool = False) -> Band:
     """Distribution function of independent values (N,), sorted, with its band.
 
-    Simultaneous [Dvoretzky, Kiefer, Wolfowitz; Massart 1990]: the whole function lies within with
-    `confidence`; `pointwise`: each point of it does [Clopper, Pearson], which is narrower.
+    The band contains the whole function with probability `confidence` [Dvoretzky, Kiefer,
+    Wolfowitz; Massart 1990]. With `pointwise` it is narrower and contains each single point of the
+    function with this probability [Clopper, Pearson].
     """
     x = np.sort(finite(values))
     n = len(x)

@@ -54,7 +54,7 @@ class Estimate:
         return Estimate(root, self.se / (2 * root) if root > 0 else math.nan)
 
     def percent(self) -> Estimate:
-        """A share in percent."""
+        """The estimate of a share, in percent."""
         return self * 100
 
     def columns(self, name: str, se: str = "") -> dict[str, float]:
@@ -113,11 +113,11 @@ def quantile(values: ArrayLike, probability: float) -> Estimate:
 
 
 def cep(error: ArrayLike, probability: float = 0.5, axis: int = 0) -> Estimate:
-    """Quantile of all fixes' errors (R, T) m (NaN: no fix): of horizontal ones the circular error
-    probable.
+    """Quantile of all fixes' errors (R, T) m (NaN: no fix); for horizontal errors, the circular
+    error probable.
 
     Independent units lie along `axis`: 0 replications, 1 positions that all replications share. The
-    standard error is that of `intervals.cep_interval`, at two thirds' confidence.
+    standard error is derived from `intervals.cep_interval` at the confidence 2/3.
     """
     e = finite(np.ravel(np.asarray(error, dtype=float)))
     low, high = intervals.cep_interval(error, probability, axis, confidence=2 / 3)

@@ -29,7 +29,7 @@ class AzEl(Measurement):
 
     sigma_deg: float | None = param(
         None,
-        "standard deviation of both angles; null: those that the measurements state",
+        "standard deviation of both angles; null: the measurements' stated deviations",
         unit="deg",
         above=0,
         most=180,
@@ -112,10 +112,10 @@ class AzElFitted(AzEl):
 
     fit: str = param(
         "printed",
-        "printed: the paper's deviations where it prints some, else computed; own: computed",
+        "printed: the paper's deviations if it prints them, else computed; own: computed",
         choices=("printed", "own"),
     )
-    noise: Noise | None = param(None, "the noise to which the deviations are fitted", kind=Noise)
+    noise: Noise | None = param(None, "noise to which the deviations are fitted", kind=Noise)
     kernel = "azel"
 
     def __post_init__(self) -> None:
@@ -124,7 +124,7 @@ class AzElFitted(AzEl):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Nothing: the deviations are its own."""
+        """The empty set, because the model has deviations of its own."""
         return frozenset()
 
     def sigmas(self) -> tuple[float, float]:
@@ -165,7 +165,7 @@ class AzElAdaptive(AzEl):
     """
 
     noise: Noise | None = param(
-        None, "the noise for whose nominal deviation the table of Model I is made", kind=Noise
+        None, "noise whose nominal deviation the table of Model I is computed for", kind=Noise
     )
     kernel = "azel_adaptive"
 
@@ -175,7 +175,7 @@ class AzElAdaptive(AzEl):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Nothing: the deviations are its own."""
+        """The empty set, because the model has deviations of its own."""
         return frozenset()
 
     def nominal(self) -> float:

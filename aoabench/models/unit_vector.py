@@ -25,7 +25,7 @@ class UnitVector(Measurement):
 
     kappa: float | None = param(
         None,
-        "concentration; null: what the measurements' stated deviations give by (7)",
+        "concentration; null: by (7) from the measurements' stated deviations",
         above=0,
         most=1e15,
     )

@@ -49,13 +49,13 @@ class _Angular(MountedNoise):
     )
     default_sigma_deg: float = param(
         10.0,
-        "nominal standard deviation where neither sigma_deg nor kappa is given",
+        "nominal standard deviation if neither sigma_deg nor kappa is given",
         unit="deg",
         above=0,
         least=1e-5,
         most=180,
     )
-    # fitted (azimuth, elevation) at sigma = 10 deg, where a paper prints them
+    # fitted (azimuth, elevation) at sigma = 10 deg, if a paper prints them
     printed_fit_deg: ClassVar[tuple[float, float] | None] = None
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ class _Angular(MountedNoise):
             raise BadValue(
                 "kappa",
                 self.kappa,
-                f"null together with sigma_deg={self.sigma_deg:g}, or sigma_deg=null",
+                f"null, because sigma_deg={self.sigma_deg:g} is given; or set sigma_deg=null",
             )
 
     @property
@@ -187,7 +187,7 @@ class VonMisesFisher(_Angular):
     (5)].
     """
 
-    printed_fit_deg: ClassVar = (21.0, 10.0)  # not what samples give: erratum N12
+    printed_fit_deg: ClassVar = (21.0, 10.0)  # samples give other deviations: erratum N12
 
     def perturb(
         self, rng: np.random.Generator, azimuth: Array, elevation: Array

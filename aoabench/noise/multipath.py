@@ -33,7 +33,7 @@ from aoabench.params import param
 from aoabench.roles import Scenario
 from aoabench.types import Measurements
 
-_WAVES = 32  # plane waves that make up a field
+_WAVES = 32  # number of plane waves in the sum of a field
 
 
 def _angle(default: float, help: str) -> Any:
@@ -49,7 +49,7 @@ class _Channel(NamedTuple):
     """Draws of one campaign over P points, B anchors and D days."""
 
     bias: Array  # (P, B, 2) rad, of azimuth and elevation
-    walls: Array  # (P, B, 4): the wall with the largest value mirrors
+    walls: Array  # (P, B, 4): the wall with the largest value gives the image
     shade: Array  # (P, B), shadowing in units of its deviation
     force: Array  # (P, B), logarithm of the pull in units of its deviation
     offset: Array  # (D, B, 2) rad, of azimuth and elevation
@@ -76,10 +76,10 @@ class BleMultipath(MountedNoise):
         0.3, "lower limit of the cosine that divides the azimuth's noise", least=0, most=1
     )
     steep_deg: float = _angle(
-        12.0, "error by which an elevation at the horizon is measured too steep"
+        12.0, "error of an elevation at the horizon, which is measured too steep"
     )
     steep_power: float = param(
-        2.0, "power of (angle from the pole / 90 deg) by which that error falls", least=0
+        2.0, "power of (angle from the pole / 90 deg), a factor on that error", least=0
     )
     azimuth_bias_deg: float = _angle(
         5.0, "standard deviation over the floor of each anchor's azimuth bias"
@@ -99,7 +99,7 @@ class BleMultipath(MountedNoise):
     )
     disturbed: Sequence[float] = param(
         (0.3, 0.1),
-        "share of the packets of each day that finds the channel disturbed, at all anchors",
+        "share of each day's packets that are disturbed, at all anchors at once",
         shape=(None,),
         least=0,
         most=1,
@@ -107,17 +107,17 @@ class BleMultipath(MountedNoise):
     )
     pull: Sequence[float] = _each_anchor(
         (0.3,),
-        "strength s of each anchor's wall images: directions go there by 1 - exp(-s e), "
-        "e exponential of mean 1",
+        "strength s of each anchor's wall images: a direction is pulled to its image by the "
+        "fraction 1 - exp(-s e), e exponential with mean 1",
     )
     pull_spread: float = param(
         1.0, "standard deviation over the floor of ln s, whose mean is ln(pull)", least=0
     )
     outliers: float = param(
-        0.02, "share of measurements with a Laplace error on top", least=0, most=1
+        0.02, "share of measurements with an additional Laplace error", least=0, most=1
     )
     outlier_deg: float = param(20.0, "scale of the Laplace errors", unit="deg", least=0)
-    lost: float = param(0.0334, "share of measurements that do not arrive", least=0, most=1)
+    lost: float = param(0.0334, "share of measurements that are lost", least=0, most=1)
     rssi_1m_dbm: float = param(-45.0, "signal strength at 1 m", unit="dBm")
     rssi_exponent: float = param(2.0, "path loss exponent", least=0)
     shadowing_db: float = param(
@@ -144,7 +144,7 @@ class BleMultipath(MountedNoise):
         point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
         seat, day = seat.ravel(), scenario.day_of(len(truth))
         T, B = len(truth), scenario.true_anchors.count
-        # all draws are made for all parameters, so that two settings are paired
+        # the draws do not depend on the parameters, so that runs with other parameters are paired
         channel = self._channel(rng, point, B, int(day.max()) + 1)
         hit = rng.random(T) < _each(self.disturbed, len(channel.offset))[day]
         spread = np.exp(self.pull_spread * channel.force)[seat]

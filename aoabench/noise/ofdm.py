@@ -68,14 +68,14 @@ class OfdmCrlb(MountedNoise):
     )
     clock_ns: float = param(
         10.0,
-        "standard deviation of each time of arrival by the clocks",
+        "standard deviation of each time of arrival due to the clocks",
         unit="ns",
         least=0,
         most=1e9,
     )
     an_sigma_m: float = _length(0.0, "standard deviation of an AN's known position in x and in y")
     an_beta: float = param(
-        10.0, "factor by which that deviation is smaller in z", above=0, most=1e6
+        10.0, "an_sigma_m divided by the standard deviation in z", above=0, most=1e6
     )
     an_error: str = param(
         "independent",
@@ -102,7 +102,7 @@ class OfdmCrlb(MountedNoise):
         return self.power_dbm - self.path_loss(distance) + shadowing + self.array_gain_db
 
     def delay_sigma(self, rss: Array) -> Array:
-        """Deviation (...) s of the time of arrival by noise alone [(4)]."""
+        """Deviation (...) s of the time of arrival due to noise alone [(4)]."""
         M = 0.5 * (self.subcarriers - 1)
         snr = 10.0 ** (0.1 * (rss - self.noise_dbm))
         width = 8.0 * math.pi**2 * (1e3 * self.subcarrier_khz) ** 2 * M * (M + 1) * (2 * M + 1)

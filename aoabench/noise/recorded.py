@@ -19,9 +19,9 @@ class Recorded(Noise):
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """The recorded measurements (T, B)."""
         if scenario.recorded is None:
-            raise BadValue("noise", "recorded", "a scenario that has a recording")
+            raise BadValue("noise", "recorded", "another noise, or a scenario with a recording")
         return scenario.recorded
 
     def offers(self) -> frozenset[str]:
-        """Nothing: the scenario states its measurements."""
+        """The empty set, because the scenario offers its measurements."""
         return frozenset()

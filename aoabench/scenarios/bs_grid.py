@@ -1,4 +1,4 @@
-"""A mobile somewhere in an area with columns of base stations: one fix at each of many positions
+"""A mobile at random positions in an area with columns of base stations: one fix at each position
 [Le 2021, IV-B].
 """
 
@@ -36,18 +36,18 @@ class BsGrid(Scenario):
     size_m: tuple[float, float, float] = size_param((1000.0, 1000.0, 20.0))
     zone: str = param(
         "strip",
-        "around each base station: strip and disc are kept free, on the ring lie all points",
+        "zone around each base station: strip and disc contain no points, the ring all points",
         choices=ZONES,
     )
     clearance_m: float = param(
         20.0,
-        "distance kept: in x and in y (strip), at least (disc) or exactly (ring) horizontally",
+        "least distance in x and in y (strip), least (disc) or exact (ring) horizontal distance",
         unit="m",
         least=0,
         most=1e6,
     )
     dt: float = dt_param(1.0)
-    motion: None = param(None, "none: every fix stands alone")
+    motion: None = param(None, "none: fixes are independent")
     shares_positions = True  # the positions depend on the seed alone
 
     @cached_property
@@ -75,12 +75,12 @@ class BsGrid(Scenario):
             if drawn >= 1000 * self.positions:
                 raise UserError(
                     f"scenario.clearance_m={self.clearance_m:g}: a {self.zone} of that width "
-                    "leaves less than a thousandth of the area; allowed: a smaller one"
+                    "leaves less than a thousandth of the area; allowed: a smaller clearance_m"
                 )
         return kept[: self.positions]
 
     def allowed(self, points: Array) -> np.ndarray:
-        """Mask (N,) of the points (N, 3) m inside the zone."""
+        """Mask (N,) of the points (N, 3) m that the zone allows."""
         d = np.abs(points[:, None, :2] - self.true_anchors.position[0, 0, None, :, :2])
         far = {"strip": d.min(axis=-1), "disc": np.hypot(d[..., 0], d[..., 1])}
         return (

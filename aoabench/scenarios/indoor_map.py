@@ -35,8 +35,8 @@ class IndoorMap(Scenario):
     """One trip along a route at constant horizontal speed, with corners rounded to arcs.
 
     The height is linear along the route. `devices.plan` describes the files of anchors and walls.
-    Of the ANs in line of sight (seen from above) the network reports the nearest by true distance,
-    which are also the strongest. Filters start from a mean position drawn around the true start,
+    The network reports the nearest ANs in line of sight (seen from above), by true distance; their
+    signals are the strongest. Filters start from a mean position drawn around the true start,
     and from velocity and acceleration 0. With `truth_from: model` the route is not followed: the
     true states are drawn from the prior at the first waypoint and from `motion`, so that the
     filters' model is exact.
@@ -50,9 +50,7 @@ class IndoorMap(Scenario):
     route: Sequence[Sequence[float]] = param(
         help="waypoints, a row x, y for each", unit="m", shape=(None, 2)
     )
-    motion: Motion = param(
-        help="what filters believe of the target's way", kind=Motion, allowed=STATE
-    )
+    motion: Motion = param(help="motion model that filters assume", kind=Motion, allowed=STATE)
     walls: str | None = param(
         help="file of the walls, GeoJSON or CSV with x0_m, y0_m, x1_m, y1_m; null: no walls",
         allowed="an existing file, or null",
@@ -75,25 +73,25 @@ class IndoorMap(Scenario):
         most=1_000_000,
     )
     prior_sigma_xy_m: float = _prior_sigma(
-        1.0, "standard deviation in x and in y of the mean that filters start from", "m"
+        1.0, "standard deviation in x and in y of the filters' initial mean", "m"
     )
     prior_sigma_z_m: float = _prior_sigma(
-        0.1, "standard deviation in z of the mean that filters start from", "m"
+        0.1, "standard deviation in z of the filters' initial mean", "m"
     )
     prior_sigma_velocity_m_s: float = _prior_sigma(
-        1.0, "standard deviation of the first velocity, whose mean is 0", "m/s"
+        1.0, "standard deviation of the initial velocity, whose mean is 0", "m/s"
     )
     prior_sigma_acceleration_m_s2: float = _prior_sigma(
-        0.5, "standard deviation of the first acceleration, whose mean is 0", "m/s^2"
+        0.5, "standard deviation of the initial acceleration, whose mean is 0", "m/s^2"
     )
     truth_from: str = param(
         "route",
-        "the route through the waypoints, or model: states drawn from the prior and the motion",
+        "source of true states: the route, or draws from the prior and the motion model (model)",
         choices=("route", "model"),
     )
     steps: int | None = param(
         None,
-        "number of steps, only with truth_from=model; null: as many as the route has",
+        "number of steps, only with truth_from=model; null: the route's number of steps",
         least=1,
         most=MOST_STEPS,
     )
@@ -101,7 +99,7 @@ class IndoorMap(Scenario):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.truth_from == "route" and self.steps is not None:
-            raise BadValue("steps", self.steps, "null with truth_from=route, whose length decides")
+            raise BadValue("steps", self.steps, "null with truth_from=route, which gives it")
         if len(self.motion.matrices(self.dt)[0]) != 9:
             raise BadValue("motion", self.motion, STATE)
         # read the files now, so that mistakes in them are reported at construction
@@ -178,8 +176,8 @@ class IndoorMap(Scenario):
         return chosen & seen
 
     def _is_route(self, points: Array) -> bool:
-        """Whether `points` are the route's, which are the same in every replication and whose
-        tables are cached.
+        """Whether `points` are the route's points, whose tables are cached because all replications
+        have the same route.
         """
         return self.truth_from == "route" and np.array_equal(points, self._route_truth[:, :3])
 

@@ -23,7 +23,7 @@ class AnchorLayout(CheckedParams):
     facing: Sequence[Sequence[float]] | None = param(
         None,
         "direction of the pole (elevation 90 deg), a row for each anchor; null: up, "
-        "every frame is the global one",
+        "with the axes of the global frame",
         shape=(None, 3),
     )
     frame_rpy_deg: Sequence[float] = param(
@@ -41,7 +41,7 @@ class AnchorLayout(CheckedParams):
                 raise BadValue(
                     "facing",
                     f"{len(direction)} rows",
-                    f"one row per anchor, that is {len(self.position_m)}",
+                    f"one row per anchor: {len(self.position_m)} rows",
                 )
             if not np.all(np.linalg.norm(direction, axis=1) > 0):
                 raise BadValue("facing", [0, 0, 0], "a direction of length > 0")

@@ -10,11 +10,11 @@ from aoabench.scenarios.layout import AnchorLayout
 
 def name_param() -> Any:
     """The parameter `name`."""
-    return param(help="keys the random streams: scenarios of one name share their draws")
+    return param(help="key of the random streams: scenarios of one name share their draws")
 
 
 def layout_param() -> Any:
-    """The parameter `anchors` that is a layout."""
+    """The parameter `anchors` for a layout."""
     return param(help="positions and orientations of the anchors", kind=AnchorLayout)
 
 

@@ -27,7 +27,7 @@ from aoabench.types import Anchors, Measurements
 
 def _column(help: str, default: str) -> Any:
     allowed = "the name of a column, or null"
-    return param(None, f"column of {help}; null: {default}, if there is one", allowed=allowed)
+    return param(None, f"column of {help}; null: {default}, if the file has it", allowed=allowed)
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Columns(CheckedParams):
     azimuth: str | None = _column("azimuths", "azimuth_deg or azimuth_rad")
     elevation: str | None = _column("elevations", "elevation_deg or elevation_rad")
     anchor: str | None = _column("the anchors' ids", "anchor")
-    fix: str | None = _column("the fixes' numbers or names, which goes before time", "fix")
+    fix: str | None = _column("the fixes' numbers or names, used in place of time", "fix")
     time: str | None = _column(
         "times by one clock, numbers or dates and times (ISO 8601)", "time_s, or by time_unit"
     )
@@ -51,7 +51,7 @@ class Columns(CheckedParams):
         "the elevations' standard deviations", "elevation_sigma_deg or elevation_sigma_rad"
     )
     heading: str | None = _column(
-        "the mobile's heading in deg, where heading_deg is null", "heading_deg"
+        "the mobile's heading in deg, if heading_deg is null", "heading_deg"
     )
     x: str | None = _column("x of the true positions in m", "x_m")
     y: str | None = _column("y of the true positions in m", "y_m")
@@ -84,23 +84,23 @@ class Recorded(Scenario):
         allowed="the names of columns, see Columns",
     )
     anchor_ids: Sequence[Any] | None = param(
-        None, "ids of a layout's anchors, as the recording has them; null: counted from 1"
+        None, "ids in the recording of a layout's anchors; null: numbers from 1"
     )
     unknown_anchors: str = param(
         "error",
-        "whether a row of an anchor that is not listed is an error or left out",
+        "treatment of rows of anchors that are not listed: an error, or left out (ignore)",
         choices=("error", "ignore"),
     )
     window_s: float = param(
         0.0,
-        "rows up to this much later than the first of a fix belong to it; 0: equal times",
+        "rows up to this long after the first row of a fix belong to it; 0: rows of equal time",
         unit="s",
         least=0,
     )
     time_unit: str = param("s", "unit of times that are numbers", choices=tuple(log.SECONDS))
     duplicates: str = param(
         "error",
-        "what to do with rows of one anchor in one fix whose values differ",
+        "treatment of differing rows of an anchor in a fix: an error, or the first or last is used",
         choices=("error", "first", "last"),
     )
     azimuth_unit: str = param("deg", "unit of azimuths", choices=tuple(log.TURN))
@@ -111,7 +111,7 @@ class Recorded(Scenario):
     )
     azimuth_zero_deg: float = param(
         0.0,
-        "where azimuth 0 points, counter-clockwise from the +x of the frame",
+        "direction of azimuth 0, counter-clockwise from the +x of the frame",
         unit="deg",
         least=-360,
         most=360,
@@ -125,15 +125,15 @@ class Recorded(Scenario):
     )
     elevation_limit_deg: float = param(
         90.0,
-        "largest elevation that is no mistake; simulated angles that no pole folds need 180",
+        "largest valid elevation; simulated elevations not folded at the poles need 180",
         unit="deg",
         above=0,
         most=180,
     )
     negative_sigma: str = param(
         "error",
-        "what a negative deviation is: an error; absent, an angle that was not measured (no line "
-        "of sight); absolute, its amount",
+        "treatment of a negative deviation: an error; absent, the angle was not measured (no line "
+        "of sight); absolute, its absolute value is used",
         choices=log.SIGMAS,
     )
     frame: str = param(
@@ -143,25 +143,25 @@ class Recorded(Scenario):
     )
     measured_by: str = param(
         "anchor",
-        "who measured: an anchor, the direction of the mobile; or the mobile, those of the anchors",
+        "device that measured: anchor, the mobile's direction; or mobile, the anchors' directions",
         choices=("anchor", "mobile"),
     )
     heading_deg: float | None = param(
         None,
-        "direction of the mobile's +x, counter-clockwise from the global +x, if it measured in its "
-        "own frame; null: a column has it",
+        "direction of the mobile's +x, counter-clockwise from the global +x, if the mobile "
+        "measured in its own frame; null: from the column of headings",
         unit="deg",
         least=-360,
         most=360,
     )
     height_m: float | None = param(
         None,
-        "known height of the target, for methods in the plane; null: the truth's z if constant",
+        "known height of the target, for methods in the plane; null: the true z if constant",
         unit="m",
     )
     bounds_m: Sequence[Sequence[float]] | None = param(
         None,
-        "lower and upper corner [x, y] of where the target can be; null: anywhere",
+        "lower and upper corner [x, y] of the target's area; null: no bounds",
         unit="m",
         shape=(2, 2),
     )
@@ -174,13 +174,15 @@ class Recorded(Scenario):
         super().__post_init__()
         if self.heading_deg is not None and (self.measured_by, self.frame) != ("mobile", "own"):
             raise BadValue(
-                "heading_deg", self.heading_deg, "null, unless measured_by=mobile and frame=own"
+                "heading_deg",
+                self.heading_deg,
+                "null, unless scenario.measured_by=mobile and scenario.frame=own",
             )
         if self.bounds_m is not None:
             low, high = check_array("bounds_m", self.bounds_m, (2, 2))
             if not np.all(low < high):
                 raise BadValue(
-                    "bounds_m", self.bounds_m, "the lower corner, then the upper one, or null"
+                    "bounds_m", self.bounds_m, "the lower corner, then the upper corner, or null"
                 )
         z = self._log.truth[:, 2]  # reads the files: mistakes are reported at construction
         z = z[np.isfinite(z)]
@@ -212,7 +214,7 @@ class Recorded(Scenario):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on the files, to print."""
+        """Lines about the files, to print."""
         return self._log.notes
 
     @property
@@ -243,7 +245,7 @@ class Recorded(Scenario):
                 raise BadValue("anchor_ids", self.anchor_ids, allowed)
             return ids, self.anchors.known
         if self.anchor_ids is not None:
-            allowed = "null, unless anchors is a layout: a file has the column id"
+            allowed = "null, unless scenario.anchors is a layout: a file has the column id"
             raise BadValue("anchor_ids", self.anchor_ids, allowed)
         return read_anchors("anchors", self.anchors)
 
@@ -272,7 +274,7 @@ class Recorded(Scenario):
         found = f"{T} fixes, {known} with ground truth; {len(keep)} rows of {heard} anchors"
         notes.append(f"{self.path}: {found}")
         if lost := len(fix) - len(keep):
-            notes.append(f"{self.path}: {lost} rows left out: an anchor's second in one fix")
+            notes.append(f"{self.path}: {lost} rows left out: further rows of an anchor in a fix")
         notes += log.doubts(table, self.azimuth_unit)
         return log.Log(truth, Measurements(**arrays), tuple(notes))
 

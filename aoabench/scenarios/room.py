@@ -31,7 +31,7 @@ class Room(Scenario):
     name: str = name_param()
     anchors: AnchorLayout = layout_param()
     points_m: Sequence[Sequence[float]] = param(
-        help="the reference points, a row x, y for each", unit="m", shape=(None, 2)
+        help="reference points, a row x, y for each", unit="m", shape=(None, 2)
     )
     size_m: tuple[float, float, float] = size_param((7.2, 8.5, 3.0))
     height_m: float = param(
@@ -41,10 +41,10 @@ class Room(Scenario):
         100, "number of packets at each point in a replication", least=1, most=1_000_000
     )
     days: int = param(
-        1, "number of days over which a point's packets are spread evenly, in order", least=1
+        1, "number of days; a point's packets are spread over them evenly and in order", least=1
     )
     dt: float = dt_param(0.1)
-    motion: None = param(None, "none: every fix stands alone")
+    motion: None = param(None, "none: fixes are independent")
     shares_positions = True
 
     def __post_init__(self) -> None:
@@ -52,7 +52,9 @@ class Room(Scenario):
         points = check_array("points_m", self.points_m, (None, 2))
         for i in np.flatnonzero(((points < 0) | (points > self.size_m[:2])).any(axis=1)):
             raise BadValue(
-                f"points_m[{i}]", points[i].tolist(), f"points in the room, {list(self.size_m)} m"
+                f"points_m[{i}]",
+                points[i].tolist(),
+                f"a point [x, y] inside the room of {list(self.size_m)} m",
             )
         check_number("height_m", self.height_m, least=0, most=float(self.size_m[2]))
         check_number("days", self.days, least=1, most=self.packets, integer=True)

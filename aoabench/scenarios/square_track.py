@@ -30,14 +30,14 @@ class SquareTrack(Scenario):
 
     name: str = name_param()
     anchors: AnchorLayout = layout_param()
-    motion: Motion = param(help="what filters believe of the target's way", kind=Motion)
+    motion: Motion = param(help="motion model that filters assume", kind=Motion)
     side_m: float = param(5.0, "side of the square", unit="m", least=1e-3, most=1e6)
     steps: int = param(64, "number of steps", least=1, most=1_000_000)
     dt: float = dt_param(0.25)
     q_xy: float = param(0.5, "scale q of the step lengths", unit="m/s^(1/2)", least=1e-6, most=1e6)
     prior_sigma_m: float = param(
         1.0,
-        "standard deviation of the mean that filters start from, which they know",
+        "standard deviation of the filters' initial mean, which they know",
         unit="m",
         least=1e-6,
         most=1e6,

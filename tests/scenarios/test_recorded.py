@@ -285,7 +285,7 @@ MISTAKES = {
     "mapped column missing": (LOG, {"columns": {"rssi": "rsi"}}, ["scenario.columns.rssi='rsi'", "log.csv", "rssi_dbm", "x_m"]),
     "unit of another column": (LOG, {"azimuth_unit": "rad"}, ["scenario.columns.azimuth", "azimuth_rad", "did you mean 'azimuth_deg'"]),
     "column twice": (LOG.replace("rssi_dbm", "anchor"), {}, ["scenario.columns.anchor='anchor'", "2 times"]),
-    "neither fix nor time": (LOG.replace("fix,", "nr,"), {}, ["scenario.columns.time=None", "time_s", "or fix", "nr, anchor"]),
+    "neither fix nor time": (LOG.replace("fix,", "nr,"), {}, ["scenario.columns.time=None", "time_s", "or scenario.columns.fix", "nr, anchor"]),
     "x without y": (LOG.replace("y_m", "yy"), {}, ["scenario.columns.y=None", "y_m", "yy"]),
     "unknown anchor": (LOG + "3,a4,1,1,1,3,3,1\n", {}, ["scenario.path='log.csv'", "line 6 has anchor='a4'", "a1, a2, a3"]),
     "only unknown anchors": (HEAD + "1,b,1,1,1,1\n", {"unknown_anchors": "ignore"}, ["known anchor", "a1, a2, a3"]),
@@ -387,7 +387,7 @@ def test_a_misspelt_anchor_is_guessed(here):
 def test_duplicates(here):
     same = HEAD + "1,a1,1,,1,1\n1,a1,1,,1,1\n1,a2,3,,1,1\n"
     s = read(same)
-    assert s.notes[-1] == "log.csv: 1 rows left out: an anchor's second in one fix"
+    assert s.notes[-1] == "log.csv: 1 rows left out: further rows of an anchor in a fix"
     differ = same.replace("1,a1,1,,1,1\n1,a2", "1,a1,2,,1,1\n1,a2")
     for which, value in (("first", 1), ("last", 2)):
         s = read(differ, duplicates=which)

@@ -483,7 +483,7 @@ def test_without_numba_everything_runs_and_one_line_says_so(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert [line for line in done.stderr.splitlines() if "numba" in line] == [
-        "numba is not installed: filters run in NumPy, particle filters some 50 times slower; pip install numba"
+        "numba is not installed: estimators run in NumPy, particle filters about 50 times slower; to install it: pip install numba"
     ]
 
 
