@@ -28,8 +28,8 @@ def refuse_hydra(setting: Setting) -> None:
 
 
 def refuse_foreign_hydra(config_dir: str | None) -> None:
-    """Raise UserError if a config from outside sets anything under `hydra` but the sweeper's
-    params, or plugins.
+    """Raise UserError if a config from outside sets `plugins`, or any key under `hydra` except the
+    sweeper's params.
 
     The files are read before Hydra starts, and links are followed, as Hydra follows them. Hydra
     could also reach files outside the config groups; the only condition on these is that they do
@@ -58,7 +58,7 @@ def _check_file(file: Path, group: str | None) -> None:
     """
     import yaml
 
-    allowed = "a config may only set hydra.sweeper.params, and no plugins"
+    allowed = "allowed: under hydra only hydra.sweeper.params; plugins only on the command line"
     try:
         text = file.read_text(encoding="utf-8")
         nodes = list(yaml.safe_load_all(text))
