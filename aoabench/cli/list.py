@@ -91,7 +91,7 @@ def _print_parameters(name: str, config_dir: str | None, as_json: bool) -> None:
     group = catalogue.group_of(name, config_dir)
     if group in ("runner", "experiment"):
         raise UserError(
-            f"{name!r}: a preset of the group {group} has no parameters; "
+            f"{name!r}: this preset has no parameters; "
             f"`aoabench run {group}={name} --cfg job` shows its config"
         )
     found = catalogue.parameters(name, config_dir)

@@ -93,7 +93,7 @@ def _check_top_level(
     for group in ("scenario", "noise"):
         if not isinstance(choices.get(group), str) or not plain.get(group):
             raise UserError(
-                f"{group}={choices.get(group)}: exactly one {group} is needed; "
+                f"{group}={choices.get(group)}: exactly one preset is needed; "
                 f"allowed: {', '.join(options(group))}"
             )
 

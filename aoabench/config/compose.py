@@ -194,8 +194,7 @@ class _Job:
                 raise UserError(f"{key}: unknown {group} {name!r}{did_you_mean(name, known)}")
             if experiment is None or key in self.typed:
                 raise UserError(
-                    f"{key}: {group} {name!r} is not selected; allowed: together with "
-                    f"{group}=[{name}]"
+                    f"{key}: {name} is not selected; allowed: together with {group}=[{name}]"
                 )
 
     def _changed(self, raw: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:

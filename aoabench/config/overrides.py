@@ -225,8 +225,7 @@ def _values(setting: Setting) -> list[str]:
         raise UserError(f"{shorten(setting.word)}: {_reason(error)}") from None
     if len(found) > _MOST_VALUES:
         raise UserError(
-            f"{shorten(setting.word)}: more than {_MOST_VALUES} values; "
-            f"allowed: at most {_MOST_VALUES}"
+            f"{shorten(setting.word)}: more than {_MOST_VALUES} values, the allowed maximum"
         )
     return found
 
