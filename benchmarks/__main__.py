@@ -39,7 +39,7 @@ PAGE = Path("docs/bench.md")
 
 
 def main() -> None:
-    """Measure all or some parts, merge the rows with the stored ones, and write table and figure."""
+    """Measure all or some parts, merge the rows with the stored ones, write table and figure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--results", default="results", type=Path)
     parser.add_argument("--repeats", default=7, type=int)
