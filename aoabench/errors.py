@@ -43,7 +43,7 @@ class RunError(Exception):
 
 
 class BadValue(UserError, ValueError):
-    """A parameter out of range: `key`, the `value` given and what is `allowed`."""
+    """A parameter out of range: its `key`, the given `value`, and the `allowed` values in words."""
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         self.key, self.value, self.allowed = key, value, allowed

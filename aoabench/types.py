@@ -73,7 +73,7 @@ class Anchors:
     def frames(self) -> tuple[Array, Array]:
         """Positions (R|1, B, 3) m and rotations (R|1, B, 3, 3) at one step; ValueError for more."""
         if self.position.shape[1] > 1 or self.rotation.shape[1] > 1:
-            raise ValueError("the anchors of one step are needed; take Anchors.at(k)")
+            raise ValueError("Anchors.frames needs the anchors of one step; use Anchors.at(k)")
         return self.position[:, 0], self.rotation[:, 0]
 
     def of(self, i: int) -> Anchors:

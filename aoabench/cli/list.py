@@ -53,7 +53,7 @@ def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_
         raise UserError(f"--config-dir={config_dir}: no such folder; allowed: an existing folder")
     if fits is not None:
         if name is not None:
-            raise UserError(f"{name!r} is not allowed with --fits; allowed: NAME or --fits, alone")
+            raise UserError(f"{name!r} is not allowed with --fits; allowed: either NAME or --fits")
         _print_fits(fits, config_dir, as_json)
     elif name is None or name in GROUPS:
         _print_groups([name] if name else list(GROUPS), config_dir, as_json)

@@ -37,8 +37,8 @@ def replay(
 ) -> None:
     """Repeat one replication of a run with its trace.
 
-    The trace (truth, measurements, estimates, covariances) and a picture of it are written below
-    the folder of the run.
+    The trace (truth, measurements, estimates, covariances) and its picture are written into the
+    folder `replay` of the run.
 
     \b
     Example:

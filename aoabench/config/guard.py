@@ -24,7 +24,7 @@ def refuse_hydra(setting: Setting) -> None:
             f"{word}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE"
         )
     if "." not in setting.key and any(".." in text or "${" in text for text in setting.texts):
-        raise UserError(f"{word}: the name of a preset is needed; allowed: see `aoabench list`")
+        raise UserError(f"{word}: the name of a preset is needed; `aoabench list` shows the names")
 
 
 def refuse_foreign_hydra(config_dir: str | None) -> None:
@@ -41,10 +41,12 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
     if not root.is_dir():
         raise UserError(
             f"--config-dir={config_dir}: no such folder; "
-            f"allowed: a folder with {', '.join(GROUPS)} in it"
+            f"allowed: a folder that holds folders {', '.join(GROUPS)}"
         )
     if (root / "hydra").exists() or (root / "hydra").is_symlink():
-        raise UserError(f"--config-dir={config_dir}: a folder 'hydra' is not allowed in it")
+        raise UserError(
+            f"--config-dir={config_dir}: a folder 'hydra' inside is not allowed; remove that folder"
+        )
     for folder, _, files in os.walk(root, followlinks=True):
         place = Path(folder).relative_to(root).parts
         for name in sorted(files):

@@ -46,7 +46,7 @@ def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
         [] if entry is None else [_fixes(part) for part in noted_parts(Path(out), entry, "fixes")]
     )
     if not found:
-        raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r}")
+        raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r} are stored")
     return Fixes(
         **{f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Fixes)}
     )
