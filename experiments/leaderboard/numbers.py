@@ -1,5 +1,4 @@
-"""Leaderboard: every estimator that runs in a scenario, on the same draws, paired with the best.
-"""
+"""Leaderboard: every estimator that runs in a scenario, on the same draws, paired with the best."""
 
 from __future__ import annotations
 
