@@ -122,7 +122,7 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
 
 
 def _without_shell_quotes(word: str) -> str:
-    """The word without quotes around the whole word, which Windows' command prompt does not remove."""
+    """The word without quotes around all of it, which Windows' command prompt does not remove."""
     whole = len(word) > 2 and word[0] == word[-1] and word[0] in "'\"" and "=" in word
     return word[1:-1] if whole else word
 
