@@ -197,7 +197,7 @@ def table1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 # --- errata, zones, pole --------------------------------------------------------------------------
 
 VARIANTS = {
-    "meant": ("as meant", STYLES["ml_kcorr"]),
+    "meant": ("corrected", STYLES["ml_kcorr"]),
     "invariant": (
         "start from invariant rows (L6)",
         {"color": "#009E73", "marker": "^", "ls": "--"},
@@ -224,7 +224,7 @@ def errata(frame: pd.DataFrame) -> Figure:
     bound(left, rows["sigma_deg"], rows["bound_m"])
     left.set(xlabel=SIGMA, ylabel="RMSE of (d) [m]", yscale="log")
     right.axhline(0, color="black", lw=0.8, ls=":")
-    right.set(xlabel=SIGMA, ylabel="RMSE of (d) above as meant [%]")
+    right.set(xlabel=SIGMA, ylabel="RMSE of (d) above corrected [%]")
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 

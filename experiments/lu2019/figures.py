@@ -160,9 +160,7 @@ def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
             found[f"{key}/above_wcg"] = Estimate(r["above_wcg"], r["above_wcg_se"])
     for r in frame[frame["an_sigma_m"].isna()].to_dict("records"):
         low, high = r["crossing_low_m"], r["crossing_high_m"]
-        certain = (
-            0.0 if np.isinf(low) else np.nan
-        )  # the whole interval lies beyond the range
+        certain = 0.0 if np.isinf(low) else np.nan  # the whole interval lies beyond the range
         se = 0.5 * (high - low) / 1.96 if np.isfinite(high) else certain
         found[f"fig4/{r['an_error']}/crossing/{r['estimator']}"] = Estimate(r["crossing_m"], se)
     return found
@@ -182,7 +180,7 @@ def table2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 VARIANTS = {
-    "meant": "as meant", "jacobian": "derivatives (U1, U2)", "shared": "one shared error (U3)",
+    "meant": "corrected", "jacobian": "derivatives (U1, U2)", "shared": "one shared error (U3)",
     "cross": "no cross terms (U4)", "alpha": "orientation (U5)", "gain": "array gain twice (U6)",
     "wrap": "no wrap (U8)",
 }  # fmt: skip
