@@ -163,7 +163,7 @@ def _extra(plain: Mapping[str, Any], extra: Mapping[str, Any]) -> dict[str, Esti
     if not presets and not extra:
         known = ", ".join((*options("filter"), *options("estimator")))
         raise UserError(
-            "filter=[], estimator=[]: at least one filter or estimator is needed, "
+            "filter=[], estimator=[]: at least one filter or estimator must be given, "
             f"e.g. 'filter=[ekf_vmf]'; allowed: {known}"
         )
     return {f"estimators.{n}": as_estimator(e, f"estimators[{n!r}]") for n, e in extra.items()}
