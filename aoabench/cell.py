@@ -44,7 +44,7 @@ class Until:
             raise BadValue(
                 "until.se",
                 None,
-                "a number > 0, here or for until.relative_se, where until.metric is given",
+                "a number > 0, for until.se or until.relative_se (or both), with until.metric",
             )
 
     @property

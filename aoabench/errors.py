@@ -15,9 +15,10 @@ from aoabench.maths.geometry import Array
 
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6, path: str = "") -> str:
-    """'; did you mean X?' for a misspelt word, else ''; `cutoff` is the least similarity (0..1).
+    """Return '; did you mean X?' for a misspelt word, else ''; `cutoff` is the least similarity
+    (0..1).
 
-    `path` stands before the name that is proposed.
+    `path` is the text before the proposed name.
     """
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {path + close[0]!r}?" if close else ""
@@ -42,7 +43,7 @@ class RunError(Exception):
 
 
 class BadValue(UserError, ValueError):
-    """A parameter out of range: `key`, the `value` given and what is `allowed`."""
+    """A parameter out of range: its `key`, the given `value`, and the `allowed` values in words."""
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         self.key, self.value, self.allowed = key, value, allowed
@@ -107,7 +108,7 @@ def check_choice(key: str, value: object, choices: Sequence[str]) -> None:
 def check_text(key: str, value: object) -> None:
     """Raise BadValue unless `value` is a non-empty string."""
     if not isinstance(value, str) or not value.strip():
-        raise BadValue(key, value, "a text")
+        raise BadValue(key, value, "a text that is not empty")
 
 
 def check_bool(key: str, value: object) -> None:

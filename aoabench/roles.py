@@ -179,7 +179,7 @@ class Measurement(CheckedParams):
 
     @property
     def needs(self) -> frozenset[str]:
-        """What it needs of scenario and noise (see NEEDS)."""
+        """Names of the NEEDS that scenario and noise must offer to the model."""
         return frozenset()
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
@@ -218,14 +218,14 @@ class Estimator(CheckedParams):
 
     tile: exact number of replications per call; None: the largest power of two up to 128 for which
     an array (R, T, B) has at most 2^20 elements. An estimator that needs `truth` is called with the
-    true states (R, T, n) as a fourth argument; a device cannot run it.
+    true states (R, T, n) as a fourth argument; such an estimator cannot run on a device.
     """
 
     tile: int | None = None
 
     @property
     def needs(self) -> frozenset[str]:
-        """What it needs of scenario and noise (see NEEDS)."""
+        """Names of the NEEDS that scenario and noise must offer to the estimator."""
         return frozenset()
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:

@@ -73,15 +73,17 @@ class Anchors:
     def frames(self) -> tuple[Array, Array]:
         """Positions (R|1, B, 3) m and rotations (R|1, B, 3, 3) at one step; ValueError for more."""
         if self.position.shape[1] > 1 or self.rotation.shape[1] > 1:
-            raise ValueError("the anchors of one step are needed; take Anchors.at(k)")
+            raise ValueError("Anchors.frames needs the anchors of one step; use Anchors.at(k)")
         return self.position[:, 0], self.rotation[:, 0]
 
     def of(self, i: int) -> Anchors:
-        """The anchors (1, T|1, B, ...) of the i-th replication."""
+        """Return the anchors of one replication, in arrays (1, T|1, B, ...); `i` is its index on
+        the first axis. An array that is the same in all replications is returned whole.
+        """
         return Anchors(**{n: a if len(a) == 1 else a[i : i + 1] for n, a in self.arrays.items()})
 
     def at(self, steps: int | np.ndarray) -> Anchors:
-        """The anchors (R|1, 1, B, ...) at one step, or (R|1, K|1, B, ...) at K of them."""
+        """The anchors (R|1, 1, B, ...) at one step, or (R|1, K|1, B, ...) at K steps."""
         if not self.moving:
             return self
         index = np.atleast_1d(steps)
@@ -89,7 +91,9 @@ class Anchors:
         return Anchors(**{name: a if a.shape[1] == 1 else a[:, index] for name, a in arrays})
 
     def those(self, index: np.ndarray) -> Anchors:
-        """Some of the anchors (R|1, T|1, K, ...), by their indices (K,)."""
+        """Return the K anchors whose indices on the anchor axis are `index` (K,), in that order, in
+        arrays (R|1, T|1, K, ...).
+        """
         return Anchors(**{name: a[:, :, index] for name, a in self.arrays.items()})
 
 
@@ -141,7 +145,9 @@ class Batch:
     anchor_id: np.ndarray | None = None
 
     def of(self, i: int) -> Batch:
-        """The batch (1, ...) of the i-th replication."""
+        """Return the batch of one replication, in arrays (1, ...); `i` is its index on the first
+        axis.
+        """
         names = [f.name for f in fields(self) if f.name not in ("anchors", "prior_cov")]
         each = {name: getattr(self, name) for name in names}
         one = {n: a if a is None or len(a) == 1 else a[i : i + 1] for n, a in each.items()}
@@ -150,8 +156,8 @@ class Batch:
     @property
     def numbers(self) -> np.ndarray:
         """The anchors' numbers (R|1, T|1, B) in the scenario, from 0; -1 where a place is empty."""
-        everyone = np.arange(self.azimuth.shape[2])[None, None]
-        return everyone if self.anchor_id is None else self.anchor_id
+        in_order = np.arange(self.azimuth.shape[2])[None, None]
+        return in_order if self.anchor_id is None else self.anchor_id
 
 
 @dataclass(frozen=True)

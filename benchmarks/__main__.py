@@ -1,7 +1,7 @@
 """`make bench`: speed and memory to results/bench (a table and a figure) and docs/bench.md.
 
-A part gives rows; nothing is asserted, because a shared machine is noisy. What is compared is run
-in turn, and medians are taken, so that a load of the machine meets all of it.
+A part gives rows; nothing is asserted, because a shared machine is noisy. Actions to compare run in
+turn, and the medians are taken, so that a load of the machine slows all of them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PAGE = Path("docs/bench.md")
 
 
 def main() -> None:
-    """Measure all or some parts, merge with what was measured before, and show it."""
+    """Measure all or some parts, merge the rows with the stored ones, write table and figure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--results", default="results", type=Path)
     parser.add_argument("--repeats", default=7, type=int)
@@ -57,7 +57,7 @@ def main() -> None:
     for name in PARTS:
         if name in given.only:
             frame = merged(frame, name, measured(name, given.repeats))
-            write_frame(path, frame)  # part by part: nothing measured is lost
+            write_frame(path, frame)  # after each part, so that an interruption loses no part
     show.draw(frame, path.with_suffix(".png"))
     if PAGE.exists() and given.results == Path("results"):
         show.write_into(PAGE, show.markdown(frame))

@@ -80,8 +80,8 @@ class FilterPy:
 
     def _predict(self, x: Array) -> Array:
         """The measurement (2 B,) rad at a position (3,) m."""
-        there = in_frames(np.ravel(x)[None], self.anchors.position, self.anchors.rotation)
-        return np.stack(to_azel(*there), axis=-1).reshape(len(self.R))
+        seen = in_frames(np.ravel(x)[None], self.anchors.position, self.anchors.rotation)
+        return np.stack(to_azel(*seen), axis=-1).reshape(len(self.R))
 
     def _jacobian(self, x: Array) -> Array:
         return self.model.jacobian(x[None], self.anchors)[0]

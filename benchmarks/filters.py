@@ -48,7 +48,9 @@ def kalman(repeats: int) -> Iterator[Row]:
 
 
 def particle(repeats: int) -> Iterator[Row]:
-    """Nanoseconds per particle and step of each particle filter, and of the same work elsewhere."""
+    """Nanoseconds per particle and step of each particle filter, in our code and in other
+    libraries.
+    """
     names = [f"pf_{m}" for m in MODELS]
     cells = [cell_of(f"noise={noise}", filters=names) for noise in ("ae_flip", "vmf")]
     cell = cells[1]
@@ -80,7 +82,7 @@ def particle(repeats: int) -> Iterator[Row]:
 
 
 def _eight(cells: list[Cell], engine: str) -> Callable[[], None]:
-    """Simulate and filter four replications of each cell, other ones at each call."""
+    """An action that simulates and filters the next four replications of each cell."""
     numbers = itertools.count()
     given = [(c, {n: by_engine(e, engine) for n, e in c.estimators.items()}) for c in cells]
 
@@ -93,8 +95,8 @@ def _eight(cells: list[Cell], engine: str) -> Callable[[], None]:
 
 
 def access_nodes(repeats: int) -> Iterator[Row]:
-    """Microseconds per trial and step on the indoor map: EKFs with nine states at eight access
-    nodes, the centroid.
+    """Microseconds per trial and step on the indoor map, of EKFs with nine states and eight access
+    nodes, and of the centroid; seconds of the line of sight along the route.
     """
     ekfs = ["ekf_toa_aoa", "ekf_aoa"]
     words = ["scenario=indoor_map", "noise=ofdm_crlb", "noise.an_sigma_m=0.5"]

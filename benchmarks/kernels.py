@@ -1,4 +1,4 @@
-"""What the particle filters' kernel pays for being general, and what for single precision."""
+"""The cost of generality and the error of single precision in the particle filters' kernel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ CALLS = 100  # of a piece, as one of them takes microseconds
 
 
 def generality(repeats: int) -> Iterator[Row]:
-    """Cost of any number of anchors and particles against a likelihood written for four anchors."""
+    """Time of the kernel's pieces, and the additional time of the likelihood for any number of
+    anchors over one written for four anchors.
+    """
     if loading.load("kernels.particle") is None:
         return
     actions = pieces()
@@ -117,12 +119,12 @@ def _four_anchors() -> Callable[..., None]:
 
 
 def precision(repeats: int) -> Iterator[Row]:
-    """What single precision does to the RMSE, in units of its Monte Carlo standard error at 1000
-    replications.
+    """Change of the RMSE by single precision, in units of the RMSE's Monte Carlo standard error at
+    1000 replications.
 
-    The kernel against `engine=double`, which follows it draw by draw and parent by parent, so that
-    rounding is all that differs. The worse of the two data models counts, with three of the mean
-    difference's own standard errors added.
+    The kernel is compared with `engine=double`, which uses the kernel's draws and parents, so that
+    only rounding differs. The row holds the mean difference plus three of its standard errors, for
+    the worse of the two data models.
     """
     with tempfile.TemporaryDirectory() as folder:
         for model in MODELS:
@@ -132,7 +134,7 @@ def precision(repeats: int) -> Iterator[Row]:
 
 
 def _rounding(name: str, noise: str, folder: str, reps: int = 200) -> tuple[float, str]:
-    """What single precision does to a filter's RMSE on one data model, and how it was measured."""
+    """Change of a filter's RMSE by single precision on one data model, and how it was measured."""
     words = [f"noise={noise}", f"reps={reps}", f"runner.out={folder}"]
     cells = [
         cell_of(*words, f"filter.{name}.engine={engine}", filters=[name])

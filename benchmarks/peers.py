@@ -2,7 +2,7 @@
 anchors at once.
 
 Every filter returns the estimated positions (T, 3) m, which show that it does the same work. A
-faster way to write one of these belongs here.
+faster implementation in one of these libraries is welcome here.
 """
 
 from __future__ import annotations

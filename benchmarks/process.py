@@ -119,7 +119,7 @@ def _peak_mib(words: list[str]) -> float:
 
 
 def studies(repeats: int) -> Iterator[Row]:
-    """How long the committed tables took, by their own provenance."""
+    """Minutes in which the committed tables were computed, by their provenance."""
     how = "seconds of each item, as noted in the committed tables; two cores"
     for name in study.names():
         s = study.load(name)

@@ -47,7 +47,7 @@ def _panel(axis: Any, part: pd.DataFrame, what: str, label: str) -> None:
 
 
 def _point(axis: Any, row: dict[Any, Any], height: int) -> None:
-    """Draw one filter's value; another library's are of AE-nominal."""
+    """Draw one filter's value; the filters of other libraries have the model AE-nominal."""
     models = list(plots.LABELS)
     key = re.sub(r"^(pf|ekf|ukf)_", "", row["detail"])
     i = models.index(key if key in models else "ae_nominal")
@@ -57,7 +57,7 @@ def _point(axis: Any, row: dict[Any, Any], height: int) -> None:
 
 
 def markdown(frame: pd.DataFrame) -> str:
-    """The table for the documentation: all rows but those that only ratios were made from."""
+    """The table for the documentation, without the rows that serve only to compute ratios."""
     frame = frame[~frame["what"].str.contains(" in ")]
     lines = ["| what | | measured | target | how |", "|---|---|---|---|---|"]
     for row in frame.to_dict("records"):

@@ -1,4 +1,4 @@
-"""Speed of the snapshot estimators, against NumPy and SciPy, and of those of the office room."""
+"""Speed of the snapshot estimators against NumPy and SciPy, and of the office room's estimators."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ FIXES = 20  # that SciPy solves in a call
 
 
 def snapshot(repeats: int) -> Iterator[Row]:
-    """Fixes per second of the snapshot estimators, start included; one fix alone; against NumPy and
-    SciPy.
+    """Fixes per second of the snapshot estimators, with their start, against NumPy and SciPy; the
+    time of one fix alone.
     """
     names = ["ls", "ml_arctan", "ml_atan2", "ml_kcorr"]
     words = ["scenario=bs_grid", "noise=ae_normal", "noise.sigma_deg=2"]

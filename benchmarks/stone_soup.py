@@ -1,7 +1,7 @@
 """One lap of the square track in Stone Soup: EKF, UKF and particle filter, each in the faster way.
 
-The Kalman filters take all anchors in one combined measurement, the particle filter takes one after
-the other and resamples after the last.
+The Kalman filters process all anchors as one combined measurement; the particle filter processes
+the anchors one after the other and resamples after the last.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ class StoneSoup:
 
 
 def _seen_from(position: Array, rotation: Array, sigma: float) -> Any:
-    """The measurement model of an anchor at a position (3,) m, rotation (3, 3) global to its
-    frame.
+    """The measurement model of an anchor at a position (3,) m; rotation (3, 3) from the global to
+    the anchor's frame.
     """
     frame = {"rotation_matrix": property(lambda self: rotation)}
     model = type("InFrame", (CartesianToElevationBearing,), frame)

@@ -1,4 +1,4 @@
-"""What every part uses: a measured row, calls in turn, and estimators on ready measurements."""
+"""Helpers of all parts: a measured row, calls in turn, and estimators on ready measurements."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MODELS = ("vmf", "ae_nominal", "ae_fitted", "ae_adaptive")
 
 @dataclass(frozen=True)
 class Row:
-    """One measured number; `target` is what it should reach, `how` how it was measured."""
+    """One measured number; `target` is the value to reach, `how` describes the measurement."""
 
     what: str
     detail: str
@@ -50,7 +50,7 @@ def cell_of(*words: str, filters: Sequence[str] = (), estimators: Sequence[str] 
 
 
 def by_engine(estimator: Estimator, engine: str) -> Estimator:
-    """The same estimator with another engine; itself where it has none to choose."""
+    """The estimator with another engine; unchanged if it has no choice of engines."""
     if not isinstance(estimator, Compiled):
         return estimator
     other: Any = replace(cast("Any", estimator), engine=engine)
@@ -58,8 +58,8 @@ def by_engine(estimator: Estimator, engine: str) -> Estimator:
 
 
 class Laps:
-    """One estimator, called on the next tile of replications each time; only its own work is in the
-    time.
+    """One estimator, called on the next tile of replications each time; the tiles are simulated
+    beforehand.
     """
 
     def __init__(self, cell: Cell, name: str, engine: str = "auto", tiles: int = 4) -> None:

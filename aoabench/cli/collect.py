@@ -19,13 +19,13 @@ _TABLES = ("tidy", "replications", "summary", "cells", "timing")
 def collect(run: Path, as_json: bool) -> None:
     """Make the tables of a run again from its parts.
 
-    Every run ends so; it is needed only where tables were lost.
+    Every run makes its tables at its end; this command is needed only after tables were lost.
 
     \b
     Example:
       aoabench collect results/raw/sigma
 
-    With --json: `run`, the folder; `cells`, how many the tables show; `tables`, an object
+    With --json: `run`, the folder; `cells`, the number of cells in the tables; `tables`, an object
     {name: path}.
     """
     from aoabench.store import folder, tables

@@ -23,7 +23,7 @@ def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> l
     "--baseline",
     metavar="ESTIMATOR",
     shell_complete=estimator_names,
-    help="Compare with this one; by default with the smallest mean of each cell.",
+    help="The estimator to compare with; by default the one with the smallest mean in each cell.",
 )
 @click.option(
     "--metric",
@@ -36,17 +36,17 @@ def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> l
 def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None:
     """Compare the estimators of a run in pairs.
 
-    Pairs are replications, which all estimators see with the same draws. Prints a line for each
-    difference, with its 95 % interval and p-value (Holm's method over all comparisons), and keeps
-    the table as compare.parquet in the folder of the run.
+    A pair is one replication: all estimators get the same draws in it. The command prints a line
+    for each difference, with its 95 % interval and p-value (Holm's method over all comparisons),
+    and stores the table as compare.parquet in the folder of the run.
 
     \b
     Examples:
       aoabench compare results/raw/sigma --baseline ekf_vmf
       aoabench compare results/raw/sigma --metric rmse_z_m
 
-    With --json: `run`, `metric`; `comparisons`, how many p-values Holm's method adjusts; `rows`,
-    the rows of compare.parquet; `left_out`, an object {cell: why it is not compared}.
+    With --json: `run`, `metric`; `comparisons`, the number of p-values that Holm's method adjusts;
+    `rows`, the rows of compare.parquet; `left_out`, an object {cell not compared: reason}.
     """
     from aoabench.report.comparison import lines
     from aoabench.store import compare as compare_module
@@ -61,4 +61,4 @@ def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None
     try:
         write_frame(run / "compare.parquet", table)
     except OSError as error:  # another user's run, or an archive
-        print(f"(not kept as {run}/compare.parquet: {error.strerror})", file=sys.stderr)
+        print(f"({run}/compare.parquet cannot be written: {error.strerror})", file=sys.stderr)

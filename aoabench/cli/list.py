@@ -23,19 +23,19 @@ def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     required=False,
     metavar="[NAME]",
     shell_complete=_names,
-    help="A config group, or a preset, whose parameters are shown.",
+    help="A config group, to list its presets, or a preset, to show its parameters.",
 )
 @click.option(
     "--fits",
     metavar="SCENARIO",
-    help="List the filters and estimators that run in this scenario, and with which noises.",
+    help="List the filters and estimators that run in this scenario, with the noises they allow.",
 )
 @click.option(
     "--config-dir", type=click.Path(), help="Also list the presets in this folder of your own."
 )
 @json_option
 def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_json: bool) -> None:
-    """List the presets, with a line about each.
+    """List the presets, each with a one-line description.
 
     \b
     Examples:
@@ -50,10 +50,10 @@ def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_
     {estimator: [noises]} for each group.
     """
     if config_dir and not Path(config_dir).is_dir():
-        raise UserError(f"--config-dir={config_dir}: no such folder")
+        raise UserError(f"--config-dir={config_dir}: no such folder; allowed: an existing folder")
     if fits is not None:
         if name is not None:
-            raise UserError(f"{name!r} is not allowed with --fits; allowed: one of the two")
+            raise UserError(f"{name!r} is not allowed with --fits; allowed: either NAME or --fits")
         _print_fits(fits, config_dir, as_json)
     elif name is None or name in GROUPS:
         _print_groups([name] if name else list(GROUPS), config_dir, as_json)
@@ -91,7 +91,8 @@ def _print_parameters(name: str, config_dir: str | None, as_json: bool) -> None:
     group = catalogue.group_of(name, config_dir)
     if group in ("runner", "experiment"):
         raise UserError(
-            f"{name!r} is no plug-in; allowed: aoabench run {group}={name} --cfg job shows it"
+            f"{name!r}: this preset has no parameters; "
+            f"`aoabench run {group}={name} --cfg job` shows its config"
         )
     found = catalogue.parameters(name, config_dir)
     if as_json:

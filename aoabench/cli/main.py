@@ -67,8 +67,8 @@ def cli(ctx: click.Context) -> None:
       aoabench run -m noise.sigma_deg=2,5,10 'filter=[ekf_vmf]' runner.out=results/raw/sigma
       aoabench compare results/raw/sigma
 
-    `aoabench COMMAND --help` says more about each command. The exit status is 0 when the command is
-    done, 2 after a mistake in the input, 130 when interrupted and 1 for anything else.
+    `aoabench COMMAND --help` describes a command. The exit status is 0 when the command is done, 2
+    after a mistake in the input, 130 when interrupted and 1 for anything else.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
@@ -103,8 +103,8 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
         except KeyboardInterrupt:
             number = received[0] if received else signal.SIGINT
             _complain(
-                f"{_STOPPED[number.name]}; what was finished is kept, "
-                "the same command goes on from there"
+                f"{_STOPPED[number.name]}; finished parts are kept, "
+                "the same command continues from them"
             )
             sys.exit(128 + number)
         except BrokenPipeError:
@@ -155,7 +155,7 @@ def _about_option(flag: str, ctx: click.Context) -> str:
     if flag.lstrip("-") in (*GROUPS, "reps", "seed"):
         return f"; did you mean '{flag.lstrip('-')}=...'?"
     if ctx.command is cli and any(flag in p.opts for c in cli.commands.values() for p in c.params):
-        return " here; allowed: after the command"
+        return " before the command; allowed: after the command"
     return did_you_mean(flag, [f for p in ctx.command.get_params(ctx) for f in p.opts])
 
 

@@ -18,14 +18,14 @@ from aoabench.cli.common import Choice, Command, estimator_names, run_argument
 @click.option(
     "--estimator", required=True, shell_complete=estimator_names, help="Name of the estimator."
 )
-@click.option("--cell", help="Cell of the run, if it has several.")
+@click.option("--cell", help="Name of the cell, needed if the run has several cells.")
 @click.option(
-    "--plugins", default="", help="Packages of your own that the run used, with commas between."
+    "--plugins", default="", help="Your own packages that the run used, separated by commas."
 )
 @click.option(
     "--export",
     type=Choice(["csv", "parquet"]),
-    help="Write measurements and anchors too, as files that scenario=recorded reads.",
+    help="Also write measurements and anchors, as files that scenario=recorded reads.",
 )
 def replay(
     run: Path,
@@ -37,8 +37,8 @@ def replay(
 ) -> None:
     """Repeat one replication of a run with its trace.
 
-    The trace (truth, measurements, estimates, covariances) and a picture of it are written below
-    the folder of the run.
+    The trace (truth, measurements, estimates, covariances) and its picture are written into the
+    folder `replay` of the run.
 
     \b
     Example:

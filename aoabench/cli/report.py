@@ -25,7 +25,7 @@ def report(results: Path, format_: str | None, as_json: bool) -> None:
       aoabench report --format pdf
 
     With --json: `results`, the folder; `verdicts`, a row for each printed number or claim;
-    `not_computed`, the items without a table, and why; `page`, its path.
+    `not_computed`, the items without a table, each with the reason; `page`, its path.
     """
     from aoabench.studies import reproduce as reproducing
 

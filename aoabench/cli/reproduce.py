@@ -38,16 +38,16 @@ def _items(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
 
 
 @click.command(cls=Command)
-@click.argument("study", nargs=-1, shell_complete=_studies, help="All studies if none is named.")
+@click.argument("study", nargs=-1, shell_complete=_studies, help="Names of studies; default: all.")
 @click.option(
     "--scale",
     type=Choice(["quick", "medium", "paper"]),
     default="quick",
     show_default=True,
-    help="quick: minutes; medium: some twenty minutes; paper: as many replications as the paper.",
+    help="quick: minutes; medium: about 20 minutes; paper: the paper's number of replications.",
 )
 @click.option(
-    "--only", metavar="ITEM", shell_complete=_items, help="One table or figure, e.g. table1."
+    "--only", metavar="ITEM", shell_complete=_items, help="Only this table or figure, e.g. table1."
 )
 @results_options
 @json_option
@@ -61,7 +61,7 @@ def reproduce(
 ) -> None:
     """Compute the tables and figures of the studies.
 
-    Each printed number or claim is compared with ours, and gets a verdict.
+    Each printed number or claim is compared with our number and gets a verdict.
 
     \b
     Examples:
@@ -69,9 +69,9 @@ def reproduce(
       aoabench reproduce nurminen2018 --scale paper
       aoabench reproduce le2021 --only fig5
 
-    With --json: `scale`, `results`, the folder; `items`, what was computed: study, item, rows,
+    With --json: `scale`; `results`, the folder; `items`, the computed items with study, item, rows,
     seconds; `verdicts`, a row for each printed number or claim; `not_computed`, the items without a
-    table, and why; `page`, its path.
+    table, each with the reason; `page`, its path.
     """
     from aoabench.studies import reproduce as reproducing
 

@@ -52,7 +52,7 @@ class _Run(Command):
     help="Sweep: KEY=VALUE,VALUE makes a cell of each combination; range() and glob() too.",
 )
 @click.option("-c", "--cfg", type=Choice(["job"]), help="Print the composed config; run nothing.")
-@click.option("-p", "--package", default="", metavar="KEY", help="With --cfg: only this part.")
+@click.option("-p", "--package", default="", metavar="KEY", help="With --cfg: print this key only.")
 @click.option("--resolve", is_flag=True, help="With --cfg: resolve the interpolations.")
 @click.option(
     "--config-dir",
@@ -84,9 +84,9 @@ def run(  # noqa: PLR0913 - an option each
 ) -> None:
     """Simulate one cell, or with -m a sweep over cells.
 
-    All jobs are composed and validated first, then computed together. Every replication is kept in
-    the folder runner.out; what an earlier run has computed into it is reused. File names need no
-    more quotes than the shell's: 'scenario.path=my log (1).csv'.
+    All jobs are composed and validated first, then computed together. Every replication is stored
+    in the folder runner.out; replications that an earlier run stored in the folder are reused. File
+    names need only the quotes that the shell needs: 'scenario.path=my log (1).csv'.
 
     \b
     Examples:

@@ -103,8 +103,8 @@ def _precision(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         [f"{first['wanted_relative_se']:.3g} of the mean"] if first["wanted_relative_se"] else []
     )
     yield (
-        f"{first['metric']} until its standard error is at most {' and '.join(wanted)}: reached by "
-        f"{len(rows) - len(short)} of {len(rows)} (precision.parquet)"
+        f"{first['metric']}: standard error of the mean at most {' and '.join(wanted)}: reached by "
+        f"{len(rows) - len(short)} of {len(rows)} estimators (precision.parquet)"
     )
     for row in short[:20]:
         yield (

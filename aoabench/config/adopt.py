@@ -88,7 +88,7 @@ def _wrapped(function: Any, path: str) -> Estimator:
     """A bare callable as an estimator, with the optional members that it has."""
     given = {name: getattr(function, name) for name in _OPTIONAL if hasattr(function, name)}
     if "check" in given and len(inspect.signature(given["check"]).parameters) != 2:
-        raise UserError(f"{path}: check takes two arguments, (scenario, noise)")
+        raise UserError(f"{path}.check: must take two arguments, (scenario, noise)")
     found = PlainEstimator(function)
     for name, value in (given | {"label": _name(function)}).items():
         object.__setattr__(found, name, value)
@@ -99,11 +99,13 @@ def _check_renamed(obj: Any, path: str, names: set[str]) -> None:
     """Raise UserError for a member that has been renamed."""
     for old in sorted(names):
         if hasattr(type(obj), old):
-            raise UserError(f"{path}: {_name(obj)}.{old} is called {RENAMED[old]} now")
+            raise UserError(f"{path}: {_name(obj)}.{old} is called {RENAMED[old]} now; rename it")
 
 
 def _check_spelling(obj: Any, role: type, path: str) -> None:
-    """Warn of a member of a user's class that looks like a misspelt one of its role."""
+    """Warn if a member of a user's class has a name that looks like a misspelt name of a member of
+    its role.
+    """
     known = {name for name in dir(role) if not name.startswith("_")}
     known |= set(role.__annotations__)
     own = [c for c in type(obj).__mro__ if not c.__module__.startswith(("aoabench.", "builtins"))]
@@ -112,8 +114,8 @@ def _check_spelling(obj: Any, role: type, path: str) -> None:
     for name in sorted(names - known):
         if not name.startswith("_") and (hint := did_you_mean(name, known, 0.7)):
             word = role.__name__.lower()
-            said = f"{path}: {_name(obj)}.{name} is not used: no member of the role {word}{hint}"
-            warnings.warn(said, stacklevel=2)
+            text = f"{path}: {_name(obj)}.{name} is not used: no member of the role {word}{hint}"
+            warnings.warn(text, stacklevel=2)
 
 
 def _name(obj: Any) -> str:

@@ -85,14 +85,15 @@ def _check_top_level(
             raise UserError(f"{key}: unknown key{hint}")
     if list(plain.get("plugins") or []) != list(plugins):
         raise UserError(
-            f"plugins={plain.get('plugins')}: only plugins=[...] on the command line can name them"
+            f"plugins={plain.get('plugins')}: a file must not name plug-in packages; "
+            "allowed: plugins=[...] on the command line"
         )
     check_number("reps", plain.get("reps"), least=1, most=100_000_000, integer=True)
     check_number("seed", plain.get("seed"), least=0, most=2**63 - 1, integer=True)
     for group in ("scenario", "noise"):
         if not isinstance(choices.get(group), str) or not plain.get(group):
             raise UserError(
-                f"{group}={choices.get(group)}: exactly one is needed; "
+                f"{group}={choices.get(group)}: exactly one preset is needed; "
                 f"allowed: {', '.join(options(group))}"
             )
 
@@ -136,7 +137,8 @@ def _estimators(
                 continue  # an experiment's setting for a preset that this run leaves out
             if f"filter.{name}" in found:
                 raise UserError(
-                    f"{path}: the name is taken by a filter; every estimator needs its own"
+                    f"{path}: a filter has this name; "
+                    "allowed: a name that no other filter or estimator has"
                 )
             found[path] = as_estimator(construct(node, path, plugins), path)
     return found
@@ -155,12 +157,14 @@ def _extra(plain: Mapping[str, Any], extra: Mapping[str, Any]) -> dict[str, Esti
     for name in (*presets, *extra):
         if not isinstance(name, str) or re.search(r"^\.|[/\\\x00-\x1f]", name):
             raise UserError(
-                f"{name!r}: not a name for an estimator; allowed: no slashes, no dot in front"
+                f"{name!r} is not allowed as the name of an estimator; "
+                "allowed: a text without slashes and without a dot as its first character"
             )
     if not presets and not extra:
         known = ", ".join((*options("filter"), *options("estimator")))
         raise UserError(
-            f"filter=[], estimator=[]: one must be given, e.g. 'filter=[ekf_vmf]'; allowed: {known}"
+            "filter=[], estimator=[]: at least one filter or estimator must be given, "
+            f"e.g. 'filter=[ekf_vmf]'; allowed: {known}"
         )
     return {f"estimators.{n}": as_estimator(e, f"estimators[{n!r}]") for n, e in extra.items()}
 
@@ -204,8 +208,8 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
         for key in ("se", "relative_se"):
             if goal.get(key) is not None:
                 raise UserError(
-                    f"until.{key}={goal[key]}: of what? "
-                    "allowed: until.metric=rmse_3d_m with it, say"
+                    f"until.{key}={goal[key]} is not allowed without until.metric; "
+                    "allowed: together with a metric, e.g. until.metric=rmse_3d_m"
                 )
         return RunnerOptions(**nodes["runner"], **nodes["store"])
     return RunnerOptions(**nodes["runner"], **nodes["store"], until=Until(**goal))
@@ -215,15 +219,15 @@ def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
     """Raise UserError if a config, not the command line, names a folder outside the working folder
     or another machine.
 
-    Data from a scheduler are unpickled, so its owner could run code here.
+    Data from a scheduler are unpickled, so its owner could run code on this machine.
     """
     out = PurePath(runner.out)
     if "runner.out" not in typed and (
         out.is_absolute() or ".." in out.parts or runner.out.startswith("~")
     ):
         allowed = (
-            "a folder below the working folder; "
-            "elsewhere only by runner.out=... on the command line"
+            "a folder below the working folder, "
+            "or any folder given as runner.out=... on the command line"
         )
         raise BadValue("runner.out", runner.out, allowed)
     own = (
@@ -232,7 +236,7 @@ def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
     )
     if not own:
         allowed = (
-            "only runner.address=... on the command line, "
-            "or the environment's DASK_SCHEDULER_ADDRESS"
+            "runner.address=... on the command line, "
+            "or the environment variable DASK_SCHEDULER_ADDRESS"
         )
         raise BadValue("runner.address", runner.address, allowed)

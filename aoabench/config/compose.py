@@ -32,11 +32,11 @@ def compose_cells(
     extra: Mapping[str, Any] | None = None,
     sweep: bool = True,
 ) -> list[Cell]:
-    """The cells of a (multi)run given as command-line overrides; commas and the experiment's own
-    sweep expand.
+    """Return the cells of command-line overrides: one for each combination of the values that
+    commas in the overrides, and the experiment's own sweep, give to the keys.
 
-    Without `sweep` there is one cell, and several values for a key are a mistake. Raises UserError
-    for every mistake.
+    Without `sweep` the list has one cell, and several values for a key are a mistake. Raises
+    UserError for every mistake.
     """
     from hydra import compose
 
@@ -71,8 +71,8 @@ def _checked(words: Sequence[str], sweep: bool) -> list[Setting]:
         refuse_hydra(setting)
         if setting.is_sweep and not sweep:
             raise UserError(
-                f"{shorten(setting.word)}: several values are a sweep; "
-                "add -m, or brackets for one list"
+                f"{shorten(setting.word)}: several values need -m (a sweep over the values), "
+                "or brackets (one list)"
             )
     return settings
 
@@ -113,7 +113,9 @@ def show(
         whole = OmegaConf.create(with_defaults(cfg, parse_plugins(settings)))
         part = OmegaConf.select(whole, package) if package else whole
         if part is None:
-            raise UserError(f"--package={package}: no such part of the config")
+            raise UserError(
+                f"--package={package}: unknown key; `aoabench run --cfg job` shows the keys"
+            )
         return (
             OmegaConf.to_yaml(part, resolve=resolve) if OmegaConf.is_config(part) else f"{part}\n"
         )
@@ -191,10 +193,12 @@ class _Job:
             if name not in known:
                 raise UserError(f"{key}: unknown {group} {name!r}{did_you_mean(name, known)}")
             if experiment is None or key in self.typed:
-                raise UserError(f"{key}: {name} is not selected; allowed: with {group}=[{name}]")
+                raise UserError(
+                    f"{key}: {name} is not selected; allowed: together with {group}=[{name}]"
+                )
 
     def _changed(self, raw: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
-        """Estimators' parameters, dotted, whose values differ from their presets' own."""
+        """Parameters of the estimators, by dotted key, whose values differ from their presets."""
         given = {group: raw[group] for group in LISTS if isinstance(raw.get(group), dict)}
         default = self._defaults(given)
         resolved = dict(flatten(plain))

@@ -24,12 +24,12 @@ def refuse_hydra(setting: Setting) -> None:
             f"{word}: nothing under hydra can be set; a sweep is written as -m KEY=VALUE,VALUE"
         )
     if "." not in setting.key and any(".." in text or "${" in text for text in setting.texts):
-        raise UserError(f"{word}: the name of a preset is needed; allowed: see `aoabench list`")
+        raise UserError(f"{word}: the name of a preset is needed; `aoabench list` shows the names")
 
 
 def refuse_foreign_hydra(config_dir: str | None) -> None:
-    """Raise UserError if a config from outside sets anything under `hydra` but the sweeper's
-    params, or plugins.
+    """Raise UserError if a config from outside sets `plugins`, or any key under `hydra` except the
+    sweeper's params.
 
     The files are read before Hydra starts, and links are followed, as Hydra follows them. Hydra
     could also reach files outside the config groups; the only condition on these is that they do
@@ -41,10 +41,12 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
     if not root.is_dir():
         raise UserError(
             f"--config-dir={config_dir}: no such folder; "
-            f"allowed: a folder with {', '.join(GROUPS)} in it"
+            f"allowed: a folder that holds folders {', '.join(GROUPS)}"
         )
     if (root / "hydra").exists() or (root / "hydra").is_symlink():
-        raise UserError(f"--config-dir={config_dir}: a folder 'hydra' is not allowed in it")
+        raise UserError(
+            f"--config-dir={config_dir}: a folder 'hydra' inside is not allowed; remove that folder"
+        )
     for folder, _, files in os.walk(root, followlinks=True):
         place = Path(folder).relative_to(root).parts
         for name in sorted(files):
@@ -58,7 +60,7 @@ def _check_file(file: Path, group: str | None) -> None:
     """
     import yaml
 
-    allowed = "a config may only set hydra.sweeper.params, and no plugins"
+    allowed = "allowed: under hydra only hydra.sweeper.params; plugins only on the command line"
     try:
         text = file.read_text(encoding="utf-8")
         nodes = list(yaml.safe_load_all(text))

@@ -31,7 +31,7 @@ def explained(settings: Sequence[Setting], config_dir: str | None = None) -> Ite
         if error.errno != errno.ENAMETOOLONG:
             raise
         longest = max((s.word for s in settings), key=len, default="")
-        raise UserError(f"{shorten(longest)}: too long for a name") from None
+        raise UserError(f"{shorten(longest)}: too long for the name of a preset") from None
 
 
 def _explain(error: Exception, settings: Sequence[Setting], config_dir: str | None) -> str:
@@ -70,7 +70,7 @@ def _not_composed(error: Exception, settings: Sequence[Setting]) -> str:
 
 
 def _about_key(key: str, chosen: Sequence[str]) -> str:
-    """Why a key given on the command line does not exist; `chosen` are the overrides that name a
+    """The message about an unknown key on the command line; `chosen` are the overrides that name a
     scenario.
     """
     hint = did_you_mean(key, [k for k in known_keys(chosen=chosen) if k != key])
@@ -97,7 +97,7 @@ def first_line(error: BaseException) -> str:
     text = lines[0] if lines else "no reason is given"
     text = text.replace("DictConfig", "a mapping").replace("ListConfig", "a list")
     if isinstance(error, GrammarParseError):
-        return "an interpolation ${...} in it cannot be read"
+        return "an interpolation ${...} in the value cannot be read"
     return shorten(
         re.sub(r"^\w*(Error|Exception)( raised while resolving interpolation)?: ", "", text)
     )

@@ -28,7 +28,7 @@ _PIECE = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')\s*(?=,|$)|[^,]*
 _OF_A_PLUG_IN = re.compile(r"(scenario|noise|filter|estimator)\.")
 _UNREADABLE = object()
 _BRACKETS = {")": "(", "]": "[", "}": "{"}
-_BARE = re.compile(r"[A-Za-z0-9_ \t/\\+.$%*@?|:,()\[\]{}'\"-]")  # what Hydra reads without quotes
+_BARE = re.compile(r"[A-Za-z0-9_ \t/\\+.$%*@?|:,()\[\]{}'\"-]")  # Hydra reads these without quotes
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,7 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
 
 
 def _without_shell_quotes(word: str) -> str:
-    """The word without quotes around the whole of it, which Windows' command prompt does not
-    remove.
-    """
+    """The word without quotes around all of it, which Windows' command prompt does not remove."""
     whole = len(word) > 2 and word[0] == word[-1] and word[0] in "'\"" and "=" in word
     return word[1:-1] if whole else word
 
@@ -215,7 +213,7 @@ def _values(setting: Setting) -> list[str]:
 
     if not setting.parsed.is_discrete_sweep():
         raise UserError(
-            f"{shorten(setting.word)}: these are not single values; "
+            f"{shorten(setting.word)}: not single values; "
             "allowed: VALUE,VALUE or range(START,STOP,STEP)"
         )
     setting.parsed.config_loader = GlobalHydra.instance().config_loader()
@@ -224,12 +222,14 @@ def _values(setting: Setting) -> list[str]:
     except (HydraException, ValueError, TypeError) as error:
         raise UserError(f"{shorten(setting.word)}: {_reason(error)}") from None
     if len(found) > _MOST_VALUES:
-        raise UserError(f"{shorten(setting.word)}: more than {_MOST_VALUES} values")
+        raise UserError(
+            f"{shorten(setting.word)}: more than {_MOST_VALUES} values, the allowed maximum"
+        )
     return found
 
 
 def _unreadable(word: str, value: str, error: Exception) -> str:
-    """The message about a word that Hydra's grammar cannot read, in plain words."""
+    """The message about a word that Hydra's grammar cannot read, in plain English."""
     complaint = _complaint(value) or _reason(error)
     key = shorten(word.partition("=")[0].lstrip("'\""))
     if len(value) > 80 or set(value) & set('"$`\\'):
@@ -267,11 +267,11 @@ def _complaint(value: str) -> str:
 def _reason(error: Exception) -> str:
     """The reason that Hydra gives for refusing a value, without names of classes."""
     if isinstance(error, RecursionError):
-        return "it is nested too deeply"
+        return "the value is nested too deeply"
     text = str(error)
     if "while evaluating" in text:  # a function's own message comes last
-        own = text.rpartition("': ")[2].strip() or "its function does not work"
+        own = text.rpartition("': ")[2].strip() or "the function in the value fails"
         return shorten(own.splitlines()[0].lower())
     if "arg 3 must not be zero" in text or "Invalid range values" in text:
         return "the step of a range must not be 0"
-    return "its parts do not make a value"
+    return "the text is not a value"

@@ -66,8 +66,8 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
         return node
     if "_target_" not in node:
         raise UserError(
-            f"{path}: a mapping with _target_ is needed here, "
-            f"got keys {', '.join(map(str, node)) or 'none'}"
+            f"{path}: a mapping without _target_ is not allowed; "
+            f"allowed: _target_ beside its keys ({', '.join(map(str, node)) or 'none'})"
         )
     cls = resolve(node["_target_"], path, plugins)
     known = [f.name for f in dataclasses.fields(cls) if f.init]
@@ -124,7 +124,7 @@ def import_plugins(plugins: Sequence[str]) -> None:
     that they raise.
     """
     if plugins and os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # last: what is installed is found first
+        sys.path.append(os.getcwd())  # last, so that installed packages are found first
     for name in plugins:
         try:
             importlib.import_module(name)

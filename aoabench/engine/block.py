@@ -30,7 +30,7 @@ def run_block(
     steps: bool = False,
 ) -> dict[str, dict[str, Rows]]:
     """Run replications start..stop-1 and return each estimator's tables: `rows`, one row per
-    replication, and `steps` if asked for.
+    replication, and with `steps` also `steps`, one row per step.
 
     Where all replications share their true positions, `fixes` has one row of arrays per
     replication, from which standard errors are clustered by position. `failures` is present only if
@@ -106,7 +106,7 @@ def _fixes(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: n
 
 
 def _failures(rows: Rows, errors: Mapping[int, str]) -> dict[str, Rows]:
-    """The table of replications with errors, {} if none; `lost`: without any position."""
+    """The table of replications with errors, {} if none; `lost` marks those without a position."""
     mine = np.array([int(r) in errors for r in rows["replication"]], dtype=bool)
     if not mine.any():
         return {}

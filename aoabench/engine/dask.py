@@ -28,31 +28,35 @@ def cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
     """Yield joblib's backend for the Dask cluster whose scheduler listens at `address`; its workers
     import from the same path as this process.
 
-    Raises UserError if no scheduler answers or if it cannot import the modules of the tasks, and
-    RunError if no worker connects within the timeout.
+    Raises UserError if no scheduler answers or if the scheduler cannot import the modules of the
+    tasks, and RunError if no worker connects within the timeout.
     """
     try:
         from distributed import Client
     except ImportError:
-        raise UserError("runner.backend=dask: needs Dask; pip install 'aoabench[dask]'") from None
+        raise UserError(
+            "runner.backend=dask needs Dask; install it with pip install 'aoabench[dask]'"
+        ) from None
     connect: Any = Client  # untyped
     key = f"runner.address={address!r}"
     try:
         client = connect(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError) as error:
-        raise UserError(f"{key}: no scheduler answers there ({type(error).__name__})") from None
+        raise UserError(
+            f"{key}: no scheduler answers at this address ({type(error).__name__})"
+        ) from None
     with client:
         try:  # a scheduler that cannot unpickle a task loses the task
             missing = client.run_on_scheduler(_add_path, sys.path, sorted(_modules(tasks)))
         except ImportError as error:
             missing = str(error)
         if missing:
-            raise UserError(f"{key}: the scheduler does not import what this run does: {missing}")
+            raise UserError(f"{key}: the scheduler cannot import a module of this run: {missing}")
         client.register_plugin(_path_plugin(sys.path))
         try:
             client.wait_for_workers(1, timeout=_TIMEOUT_S)
         except TimeoutError:
-            raise RunError(f"{key}: no worker has come within {_TIMEOUT_S} s") from None
+            raise RunError(f"{key}: no worker has connected within {_TIMEOUT_S} s") from None
         yield _backend()(client=client)
 
 
@@ -110,19 +114,19 @@ def _add_path(path: Sequence[str], modules: Sequence[str]) -> str | None:
 def compute_remotely(number: int, task: Task, out: Path, code: str) -> tuple[int, dict[str, Loss]]:
     """Compute a task on a worker, possibly on another machine; return its number and losses.
 
-    Raises RunError if the worker's code differs from this run's, or if it does not see the folder
-    `out`.
+    Raises RunError if the worker's code differs from this run's, or if the worker does not see the
+    folder `out`.
     """
     here = platform.node()
     if code_key(task.cell) != code:
         raise RunError(
             f"the worker on {here} has another version of the code, "
-            "of a plug-in or of a library than this run"
+            "of a plug-in or of a library than this run; install the same versions"
         )
     if not (out / ".lock").exists():
         raise RunError(
             f"the worker on {here} does not see {out}: "
-            "all workers need the file system that it is on"
+            "runner.out must be on a file system that all workers share"
         )
     return numbered(number, task, out)
 
@@ -138,7 +142,7 @@ def wait_until_seen(task: Task, out: Path) -> None:
     ):
         if time.monotonic() > deadline:
             raise RunError(
-                f"what the workers wrote does not show up in {out}: "
-                "they need the file system that it is on"
+                f"the files that the workers wrote do not appear in {out}: "
+                "runner.out must be on a file system that all workers share"
             )
         time.sleep(0.5)

@@ -12,7 +12,8 @@ from pathlib import Path
 from aoabench.errors import RunError, UserError, shorten
 
 
-def tell(line: str) -> None:
+def report(line: str) -> None:
+    """Print a line for the user on standard error."""
     print(f"aoabench: {line}", file=sys.stderr, flush=True)
 
 
@@ -21,20 +22,20 @@ def explained(out: Path) -> Iterator[None]:
     """Turn an error of the machine (memory, disk, workers, Dask) into a one-line RunError."""
     from concurrent.futures import BrokenExecutor
 
-    kept = "what was finished is kept, the same command goes on from there"
+    kept = "finished parts are kept, the same command continues from them"
     less = "fewer workers (runner.n_jobs) or smaller tasks (runner.chunk) need less memory"
     try:
         yield
     except MemoryError as error:
-        raise RunError(f"out of memory ({error or 'no more to be had'}); {less}; {kept}") from error
+        raise RunError(f"out of memory ({error or 'no details'}); {less}; {kept}") from error
     except BrokenExecutor as error:
         raise RunError(
-            f"a worker process was killed, for using too much memory perhaps; {less}; {kept}"
+            f"a worker process was killed, perhaps because memory ran out; {less}; {kept}"
         ) from error
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
             raise RunError(
-                f"the Dask cluster gave up: {type(error).__name__}: {error}; {kept}"
+                f"the Dask cluster failed: {type(error).__name__}: {error}; {kept}"
             ) from error
         disk = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
         if not isinstance(error, OSError) or error.errno not in disk:

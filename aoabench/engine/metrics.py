@@ -67,13 +67,13 @@ def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
         estimates.position - truth,
         np.full(estimates.outcome.shape, np.nan, dtype=np.float32),
     )
-    said = {name: getattr(estimates, name) for name in ("iterations", "score", "anchors_used")}
+    given = {name: getattr(estimates, name) for name in ("iterations", "score", "anchors_used")}
     return {
         "error_3d_m": distance(error).astype(np.float32),
         "error_xy_m": np.hypot(error[..., 0], error[..., 1]).astype(np.float32),
         **{
             name: nothing if value is None else value.astype(np.float32)
-            for name, value in said.items()
+            for name, value in given.items()
         },
         "outcome": estimates.outcome.astype(np.int8),
         "place": np.broadcast_to(places(truth[0]), estimates.outcome.shape),
@@ -106,7 +106,7 @@ def nees(error: Array, covariance: Array) -> Array:
     (R, T, 3, 3) m^2.
 
     NaN where an error is NaN or a covariance is nearly singular (smallest eigenvalue below 1e-6 of
-    the largest: a particle filter with a handful of particles left, say).
+    the largest, as in a particle filter with few distinct particles).
     """
     usable: np.ndarray = np.asarray(
         np.isfinite(error).all(-1) & np.isfinite(covariance).all((-1, -2))

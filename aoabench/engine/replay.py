@@ -104,7 +104,7 @@ def _record(run: Path, cell: str | None) -> dict[str, Any]:
     if not records:
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
     if cell is None and len(records) > 1:
-        raise UserError(f"--cell: this run has several; allowed: {', '.join(records)}")
+        raise UserError(f"--cell: this run has several cells; allowed: {', '.join(records)}")
     chosen = cell or next(iter(records))
     if chosen not in records:
         raise UserError(

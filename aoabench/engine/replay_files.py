@@ -38,7 +38,7 @@ def _summary(replay: Replay) -> str:
     same = (
         "as stored"
         if replay.as_stored
-        else f"stored is {replay.stored_m:.17g}: code or libraries have changed since"
+        else f"stored: {replay.stored_m:.17g}; code or libraries have changed since the run"
     )
     return (
         f"cell {replay.record['cell']}, {replay.estimator}, replication {replay.replication}: "
@@ -66,7 +66,7 @@ def _exported(replay: Replay, path: Path, kind: str) -> str:
     """Write <path>-measurements.<kind>, <path>-anchors.csv; return the command that reads them."""
     measurements, known = longtable.as_tables(replay.batch, replay.truth[0])
     log, anchors = (
-        path.with_name(f"{path.stem}-{what}") for what in (f"measurements.{kind}", "anchors.csv")
+        path.with_name(f"{path.stem}-{end}") for end in (f"measurements.{kind}", "anchors.csv")
     )
     save = measurements.to_csv if kind == "csv" else measurements.to_parquet
     write_atomically(log, lambda temporary: save(temporary, index=False))
@@ -80,4 +80,4 @@ def _exported(replay: Replay, path: Path, kind: str) -> str:
     if np.nanmax(np.abs(replay.batch.elevation), initial=0.0) > np.pi / 2:
         words.append("scenario.elevation_limit_deg=180")
     last = f"'estimator=[{replay.estimator}]'"
-    return f"read it back: aoabench run scenario=recorded {' '.join(words)} {last}"
+    return f"read the log: aoabench run scenario=recorded {' '.join(words)} {last}"

@@ -12,7 +12,7 @@ from typing import Any
 
 from aoabench.cell import Cell, Until
 from aoabench.engine import tiles
-from aoabench.engine.faults import explained, tell, writable
+from aoabench.engine.faults import explained, report, writable
 from aoabench.engine.tasks import Loss, Task, kind_of
 from aoabench.engine.timing import time_estimators
 from aoabench.engine.workers import compute_all, cores
@@ -59,7 +59,7 @@ def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
-    with explained(out), locked(out, tell):
+    with explained(out), locked(out, report):
         return _Run(out, cells, progress).run()
 
 
@@ -75,8 +75,8 @@ class _Run:
             for cell in cells
         }
         self.losses: dict[str, Loss] = {}  # by part key
-        self.there: dict[str, int] = {}  # by part key: replications stored
-        self.goal: dict[str, int] = {}  # by cell: replications wanted so far
+        self.stored: dict[str, int] = {}  # by part key: number of replications
+        self.goal: dict[str, int] = {}  # by cell: number of replications to reach next
         self.stopped: dict[str, str] = {}  # by cell: the reason
         self.precision: dict[str, dict[str, dict[str, Any]]] = {}  # by cell and estimator
         self.damaged: list[Path] = []
@@ -112,8 +112,8 @@ class _Run:
         )
 
     def _compute_missing(self, cells: Sequence[Cell]) -> None:
-        """Compute all replications up to the goals; repeat while cells stop, as others may share
-        their parts.
+        """Compute all replications up to the goals; repeat while cells stop, as other cells may
+        need parts that a stopped cell shares.
         """
         while True:
             before = len(self.stopped)
@@ -129,8 +129,8 @@ class _Run:
                 return
 
     def _plan(self, cells: Sequence[Cell]) -> list[Task]:
-        """The tasks for the missing replications of some cells; enters the failures of stored
-        parts.
+        """Return the tasks for the missing replications of the cells, and enter the failures of
+        their stored parts.
         """
         tasks: list[Task] = []
         claimed: set[str] = set()  # cells that differ in another estimator's parameter share parts
@@ -140,14 +140,14 @@ class _Run:
                 if key not in claimed:
                     claimed.add(key)
                     parts, damaged = examined(self.out, key)
-                    for seal in damaged:
-                        tell(
-                            f"{seal.with_suffix('').with_suffix('')}: altered or torn; "
+                    for file in damaged:
+                        report(
+                            f"{file.with_suffix('').with_suffix('')}: altered or torn; "
                             "computed again"
                         )
                     self.damaged += damaged
                     self.losses[key] = Loss.of(errors(parts, goal, lost=True))
-                    self.there[key] = min(sum(part.stop - part.start for part in parts), goal)
+                    self.stored[key] = min(sum(part.stop - part.start for part in parts), goal)
                     done[name] = parts
                 self._check(cell, name)
             if cell.id not in self.stopped:
@@ -159,7 +159,7 @@ class _Run:
         self.computed += task.size
         for name, key in task.keys.items():
             self.losses[key] += losses.get(name, Loss())
-            self.there[key] += task.stop - task.start
+            self.stored[key] += task.stop - task.start
             self._check(task.cell, name)
 
     def _check(self, cell: Cell, name: str) -> None:
@@ -167,13 +167,13 @@ class _Run:
         least _GIVE_UP_AFTER.
         """
         key, goal, most = self.keys[cell.id][name], self.goal[cell.id], self.options.max_failed
-        loss, there = self.losses[key], self.there[key]
-        all_failed = most < 1 and loss.count == there >= _GIVE_UP_AFTER
+        loss, stored = self.losses[key], self.stored[key]
+        all_failed = most < 1 and loss.count == stored >= _GIVE_UP_AFTER
         if cell.id not in self.stopped and (loss.count > most * goal or all_failed):
             again = replay_command(self.out, cell.id, name, loss.first, cell.config, cell.plugins)
             self.stopped[cell.id] = (
                 f"cell {cell.id} ({cell.scenario_name}, {cell.noise_name}) stopped: "
-                f"{name!r} failed in {loss.count} of {there} replications, "
+                f"{name!r} failed in {loss.count} of {stored} replications, "
                 f"more than runner.max_failed={most:g} of {goal}; "
                 f"replication {loss.first}: {loss.message}{f' ({again})' if again else ''}"
             )

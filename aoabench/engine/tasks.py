@@ -29,8 +29,8 @@ class Task:
 
 @dataclass(frozen=True)
 class Loss:
-    """One estimator's replications lost to exceptions and undeclared NaN: their count, and number
-    and message of the first.
+    """Count of an estimator's replications lost to exceptions and undeclared NaN, with number and
+    message of the first.
     """
 
     count: int = 0
@@ -80,4 +80,5 @@ def compute(task: Task, out: Path) -> dict[str, Loss]:
 
 
 def numbered(number: int, task: Task, out: Path) -> tuple[int, dict[str, Loss]]:
+    """Compute one task; return its number and losses, as tasks finish in any order."""
     return number, compute(task, out)

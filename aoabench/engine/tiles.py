@@ -178,11 +178,11 @@ def try_tile(
     truth, _ = draws.tile(first, size)
     shape = truth.shape[:2]
     pieces: list[tuple[np.ndarray, Estimates]] = []
-    everyone = np.arange(size)
-    todo = [everyone]
+    whole_tile = np.arange(size)
+    todo = [whole_tile]
     while todo:
         some = todo.pop()
-        at = None if len(some) == size else np.where(np.isin(everyone, some), everyone, some[0])
+        at = None if len(some) == size else np.where(np.isin(whole_tile, some), whole_tile, some[0])
         try:
             _, raw = _asked(draws, estimator, first, at)
         except (UserError, MemoryError):
@@ -197,8 +197,8 @@ def try_tile(
         good = checked(raw, shape, estimator.label)
         nan = (good.outcome != raw.outcome).sum(axis=1)
         for i in some[nan[some] > 0]:
-            said = f"{nan[i]} of {shape[1]} fixes claim a position and give NaN"
-            errors[first + int(i)] = said
+            text = f"{nan[i]} of {shape[1]} fixes claim a position and give NaN"
+            errors[first + int(i)] = text
         pieces.append((some, good))
     whole = len(pieces) == 1 and not errors
     return truth, pieces[0][1] if whole else _assembled(pieces, shape), errors

@@ -105,11 +105,11 @@ def prepare(tasks: Sequence[Task], progress: bool) -> None:
     """Let estimators compile or load their data once in this process, before all workers need it at
     the same time.
     """
-    said: set[str] = set()
+    printed: set[str] = set()
 
     def say(line: str) -> None:
-        if progress and line not in said:
-            said.add(line)
+        if progress and line not in printed:
+            printed.add(line)
             print(line, file=sys.stderr, flush=True)
 
     for estimator in {id(e): e for task in tasks for e in task.cell.estimators.values()}.values():

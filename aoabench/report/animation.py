@@ -50,7 +50,7 @@ def frame(
     low, high = position[:, :2].min(axis=0), position[:, :2].max(axis=0)
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axis.set(xlim=(low[0] - 1, high[0] + 1), ylim=(low[1] - 2, high[1] + 2))
-    axis.set(title="95 % ellipses as each filter believes them")
+    axis.set(title="95 % ellipses as each filter reports them")
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 

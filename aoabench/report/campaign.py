@@ -1,5 +1,5 @@
-"""Figures of a measurement campaign: how errors in the plane are distributed, and where they are
-large.
+"""Figures of a measurement campaign: distributions of the errors in the plane, and maps of the
+errors.
 
 Errors are in m, NaN where a method gave no position.
 """
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MOST_POINTS = 80  # true positions; more of them are a track, not reference points
 MOST_DRAWN = 5000  # of a track's fixes, evenly spaced; and of a distribution's steps
 STYLES = ("-", "--", "-.", ":")
-SCALE = "cividis"  # even in lightness, and read by colour-blind readers
+SCALE = "cividis"  # uniform in lightness, readable by colour-blind readers
 
 
 def write(
@@ -184,7 +184,7 @@ def track_maps(
     figure, axes, _ = _panels(len(errors), extent)
     norm = _norm(np.concatenate(list(errors.values())))
     for axis, (name, error) in zip(axes, errors.items()):
-        if _is_a_way(points, extent):
+        if _is_path(points, extent):
             axis.plot(*points.T, color="0.8", linewidth=0.5, zorder=1)
         given = np.isfinite(error)
         if not given.all():
@@ -198,7 +198,7 @@ def track_maps(
     return figure
 
 
-def _is_a_way(points: np.ndarray, extent: np.ndarray) -> bool:
+def _is_path(points: np.ndarray, extent: np.ndarray) -> bool:
     """Whether positions (T, 2) m form a continuous track instead of jumping about the room."""
     if len(points) < 2:
         return False
@@ -235,8 +235,8 @@ def _norm(values: np.ndarray) -> Any:
 def _extent(points: np.ndarray, anchors: np.ndarray, bounds: Any) -> np.ndarray:
     """Lower and upper corner (2, 2) m of points, anchors and bounds, with a margin."""
     corners = [points, anchors] + ([np.asarray(bounds, dtype=float)] if bounds is not None else [])
-    all_of_it = np.concatenate(corners)
-    low, high = all_of_it.min(axis=0), all_of_it.max(axis=0)
+    every = np.concatenate(corners)
+    low, high = every.min(axis=0), every.max(axis=0)
     margin = max(
         0.05 * float((high - low).max()), 0.25 * _spacing(points, float((high - low).max())), 1e-3
     )

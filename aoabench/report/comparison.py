@@ -25,7 +25,7 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
     if left_out:
         yield ""
     for cell, why in left_out.items():
-        yield f"cell {cell}: nothing to compare, {why} here"
+        yield f"cell {cell}: nothing to compare, {why}"
     if table.attrs["comparisons"]:
         yield ""
         yield from _method(table)
@@ -50,9 +50,9 @@ def _method(table: pd.DataFrame) -> Iterator[str]:
     """Lines that explain the intervals and p-values."""
     m = table.attrs["comparisons"]
     printed = m == np.isfinite(table["p"]).sum()
-    among = "comparisons" if printed else "pairs, as the data picked what to compare with"
-    yield f"95 % intervals, each by itself; p by Holm's method over the {m} {among}."
+    among = "comparisons" if printed else "pairs of estimators, as the data picked the baseline"
+    yield f"95 % intervals for each comparison alone; p by Holm's method over the {m} {among}."
     yield (
         f"A difference is claimed where p < {LEVEL:g}; "
-        "what would show one does so with probability 0.8."
+        "a number that suffices to detect one detects it with probability 0.8."
     )

@@ -13,8 +13,8 @@ STYLE = Path(__file__).with_name("house.mplstyle")
 COLUMN = 3.5  # inches: width of one column in print
 PAGE = 7.2  # inches: width of two columns
 
-# Okabe and Ito's colours, told apart by colour-blind readers; one colour per measurement model
-# everywhere
+# Okabe and Ito's colours, which colour-blind readers can distinguish; each measurement model has
+# the same colour in all figures
 COLOURS = {
     "vmf": "#0072B2",
     "ae_nominal": "#D55E00",
@@ -36,7 +36,7 @@ BOUND = {
     "lw": 1.2,
     "ls": "--",
     "zorder": 5,
-}  # the square root of the Cramér-Rao bound, everywhere
+}  # style of the square root of the Cramér-Rao bound in all figures
 BOUND_LABEL = "square root of the CRB"
 # Dates and versions are left out, as they would make equal figures differ
 _METADATA: dict[str, dict[str, Any]] = {

@@ -6,7 +6,7 @@ from math import floor, log10
 
 
 def printed_text(value: float | None, rounding: float) -> str:
-    """A number with as many digits as in print."""
+    """A printed number with the paper's digits, `rounding` being half a unit of the last one."""
     if value is None:
         return "-"
     return (

@@ -70,7 +70,7 @@ def _plan(
 
     if walls is not None:
         axis.add_collection(LineCollection(list(walls), colors="black", linewidths=0.8))
-    (_way if moving else _points)(axis, frame)
+    (_path if moving else _points)(axis, frame)
     failed = frame[frame["outcome"] == "failed"]
     if len(failed):
         look = {"color": plots.COLOURS["ae_nominal"], "markersize": 4, "label": "failed"}
@@ -82,7 +82,7 @@ def _plan(
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=4)
 
 
-def _way(axis: Any, frame: pd.DataFrame) -> None:
+def _path(axis: Any, frame: pd.DataFrame) -> None:
     """Draw the true and the estimated path, with ellipses."""
     x, y, at, to = (frame[c].to_numpy() for c in POSITIONS)
     blue, marker = plots.COLOURS["vmf"], "." if len(frame) <= 300 else "none"

@@ -1,6 +1,6 @@
 """Paired comparison of a run's estimators: each line states a difference and its uncertainty.
 
-Pairs are replications, which all estimators see with the same draws. Where replications share their
+A pair is one replication: all estimators get the same draws in it. Where replications share their
 positions, RMSE and iterations are clustered by position, as in the summary. p-values are adjusted
 by Holm's method for all comparisons of the table.
 """
@@ -58,8 +58,8 @@ COLUMNS = (
 def compare(
     run: str | os.PathLike[str], baseline: str | None = None, metric: str = "rmse_3d_m"
 ) -> pd.DataFrame:
-    """A row per estimator and cell of a run, compared with `baseline` (None: the smallest mean of
-    each cell).
+    """Return a row per cell and estimator of a run, compared with the estimator `baseline` (None:
+    the one with the smallest mean in each cell).
 
     Columns: cell, scenario, noise, the parameters that differ between cells; metric, estimator,
     baseline; n pairs of `of` replications; mean, baseline_mean; change (of the mean against the
@@ -83,12 +83,16 @@ def compare(
     shared = set(summary["cell"][summary["se_by"] == "position"])
     rows: list[tuple[dict[str, Any], Comparison]] = []
     left_out: dict[str, str] = {}  # cells without a comparison, and why
-    unprinted: list[float] = []  # p-values of pairs that were looked at to pick the baseline
+    unprinted: list[float] = []  # p-values of the other pairs, where the data pick the baseline
     for cell in order:
         mine = by_cell[cell]
         names = mine["estimator"].unique()
         if len(names) < 2 or (baseline is not None and baseline not in names):
-            left_out[cell] = f"only {names[0]}" if len(names) < 2 else f"no {baseline}"
+            left_out[cell] = (
+                f"{names[0]} is its only estimator"
+                if len(names) < 2
+                else f"{baseline} is not among its estimators"
+            )
             continue
         clustered = cell in shared and metric in CLUSTERED
         found, others = _of_cell(Path(run), cell, mine, baseline, metric, clustered)
@@ -158,7 +162,7 @@ def _pairing(
             found = None if sums is None else sums.influence(metric)
             if found is None:
                 raise RunError(
-                    f"{run}: the fixes of {name} in cell {cell} are gone; "
+                    f"{run}: the fixes of {name} in cell {cell} are missing; "
                     "run the same command again"
                 )
             known[key] = found

@@ -52,8 +52,10 @@ class Comparison:
 
     @property
     def change(self) -> tuple[float, float, float]:
-        """The change and the ends of its 95 % interval, which for a rate is centred on a shrunken
-        change.
+        """Return the change in `unit`, and the lower and the upper end of its 95 % interval.
+
+        The change of a mean is the centre of its interval. The interval of a rate is Bonett and
+        Price's, whose centre is a difference shrunken towards 0.
         """
         pair = self.pair
         if math.isfinite(pair.percent.value):
@@ -97,29 +99,29 @@ class Comparison:
         return self._unseen(p_holm, need)
 
     def _seen(self, p_holm: float, needed: float) -> Verdict:
-        """The verdict for a significant difference; its word says how the estimator compares."""
+        """The verdict for a significant difference: better or worse, lower or higher."""
         change, low, high = self.change
         smaller = change < 0
         ends = (-high, -low) if smaller else (low, high)
         word = words(self.metric)[0 if smaller else 1]
-        said = self._change(abs(change), *ends)
+        amount = self._change(abs(change), *ends)
         a, b = self.estimator, self.baseline
-        line = f"{a} is {word} than {b} by {said}, {_p(p_holm)}, {self._count()}"
+        line = f"{a} is {word} than {b} by {amount}, {_p(p_holm)}, {self._count()}"
         return Verdict(word, needed, line)
 
     def _unseen(self, p_holm: float, needed: float) -> Verdict:
         """The verdict for no significant difference, with the units needed to detect 1 %."""
-        said = f"{self._change(*self.change, '+')}, {_p(p_holm)}"
+        found = f"{self._change(*self.change, '+')}, {_p(p_holm)}"
         a, b = self.estimator, self.baseline
-        line = f"{a} and {b}: no difference seen at this {self._count()}: {said}"
+        line = f"{a} and {b}: no difference seen at this {self._count()}: {found}"
         if not math.isfinite(needed) or needed == 0:
             return Verdict(NONE_SEEN, math.nan, line)
         one = f"1{' percentage point' if self.metric == FAILURES else ' %'}"
         if needed <= self.pair.units:
-            return Verdict(NONE_SEEN, needed, f"{line}; this many would show {one}")
+            return Verdict(NONE_SEEN, needed, f"{line}; this number suffices to detect {one}")
         count = np.format_float_positional(needed, 2, fractional=False, trim="-")
         units = f"N = {count}" if self.by == "replication" else f"{count} positions"
-        return Verdict(NONE_SEEN, needed, f"{line}; about {units} would show {one}")
+        return Verdict(NONE_SEEN, needed, f"{line}; about {units} would suffice to detect {one}")
 
     def _change(self, value: float, low: float, high: float, sign: str = "") -> str:
         """A change with its unit and interval."""

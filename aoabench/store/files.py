@@ -61,8 +61,8 @@ def _cpu_features() -> list[str]:
 
 @contextlib.contextmanager
 def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Hold the folder's lock, so that one run at a time writes into it; `say` gets a line if
-    another run has to end first.
+    """Hold the folder's lock, so that one run at a time writes into the folder; call `say` with a
+    line to print if another run has to end first.
 
     The operating system releases the lock whatever ends the process. On file systems without locks,
     overlapping runs compute some parts twice, and the tables show the cells of the run that ended
@@ -86,8 +86,8 @@ def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX)
         except OSError as error:
             say(
-                f"{out}: no file locks here ({error.strerror}); "
-                "do not start two runs into it at once"
+                f"{out}: the file system has no locks ({error.strerror}); "
+                "do not start two runs into this folder at once"
             )
         file.truncate(0)
         file.write(f" (process {os.getpid()} on {platform.node()})\n")

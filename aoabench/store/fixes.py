@@ -40,13 +40,13 @@ class Fixes:
 
 
 def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
-    """Fixes of one estimator in one cell of the run in `out`; UserError where there are none."""
+    """Fixes of one estimator in one cell of the run in `out`; UserError if none are stored."""
     entry = read_record(Path(out) / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
     found = (
         [] if entry is None else [_fixes(part) for part in noted_parts(Path(out), entry, "fixes")]
     )
     if not found:
-        raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r}")
+        raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r} are stored")
     return Fixes(
         **{f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Fixes)}
     )
@@ -66,10 +66,8 @@ def clusters(
     estimator: str,
     replications: Iterable[int] | None = None,
 ) -> Clusters | None:
-    """Sums per true position over all, or some, replications of one estimator in one cell, read
-    part by part.
-
-    None where the replications do not share their positions.
+    """Return the sums per true position over the `replications` (None: all) of one estimator in one
+    cell, read part by part; None if the replications do not share their positions.
     """
     import pyarrow as pa
 

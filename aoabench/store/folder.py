@@ -1,4 +1,4 @@
-"""The records of a run's folder: which cells, estimators and replications its tables show."""
+"""The records of a run's folder: the cells, estimators and replications that its tables show."""
 
 from __future__ import annotations
 
@@ -170,5 +170,5 @@ def noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.T
         position = found.stop
         yield part.filter(keep)
     if position < entry["reps"]:
-        gap = f"replications from {position} on of part {entry['key']} are not there any more"
+        gap = f"replications from {position} on of part {entry['key']} are missing"
         raise RunError(f"{out}: {gap}; run the same command again")

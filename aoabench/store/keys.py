@@ -41,7 +41,9 @@ def part_key(cell: Cell, estimator: str, draws: str | None = None) -> str:
 
 
 def draws_key(cell: Cell) -> str:
-    """Hash of all that the simulated truth, measurements and scores of one cell depend on."""
+    """Hash of everything that the simulated truth and measurements of one cell, and the metrics
+    computed from them, depend on: scenario, noise, seed, data files, source, library versions.
+    """
     return digest(
         {
             "scenario": cell.config["scenario"],

@@ -54,19 +54,19 @@ def write_part(
         path = folder / f"{span}.{kind}.{uuid.uuid4().hex[:8]}.parquet"
         inner = {name: type_ for name, type_ in KINDS[kind].items() if name not in IDENTITY}
         written[kind] = [path.name, write_table(path, content, schema(inner, origin))]
-    seal = json.dumps(written)
+    text = json.dumps(written)
     write_atomically(
-        folder / f"{span}.json", lambda temporary: temporary.write_text(seal, encoding="utf-8")
+        folder / f"{span}.json", lambda temporary: temporary.write_text(text, encoding="utf-8")
     )
 
 
-def _unsealed(seal: Path) -> Part | None:
+def _verified(checksums: Path) -> Part | None:
     """The part of a checksum file; None if the checksum file is torn, altered or does not match."""
     try:
-        named = json.loads(seal.read_text(encoding="utf-8"))
-        files = {kind: seal.parent / Path(name).name for kind, (name, _) in named.items()}
+        named = json.loads(checksums.read_text(encoding="utf-8"))
+        files = {kind: checksums.parent / Path(name).name for kind, (name, _) in named.items()}
         good = all(file_checksum(files[kind]) == checksum for kind, (_, checksum) in named.items())
-        start, stop = (int(n) for n in seal.stem.split("-"))
+        start, stop = (int(n) for n in checksums.stem.split("-"))
     except (OSError, ValueError, AttributeError, KeyError, TypeError):
         return None
     return Part(start, stop, files) if good else None
@@ -74,14 +74,14 @@ def _unsealed(seal: Path) -> Part | None:
 
 def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:
     """The parts of this kind whose checksums match, in order, without torn or altered ones."""
-    parts = (_unsealed(seal) for seal in sorted((out / "parts" / key).glob("*.json")))
+    parts = (_verified(file) for file in sorted((out / "parts" / key).glob("*.json")))
     return [part for part in parts if part is not None and kind in part.files]
 
 
 def has_part(out: Path, key: str, start: int, stop: int, kind: str = "rows") -> bool:
     """Whether exactly this part exists and is intact."""
-    seal = out / "parts" / key / f"{start:09d}-{stop:09d}.json"
-    part = _unsealed(seal) if seal.exists() else None
+    checksums = out / "parts" / key / f"{start:09d}-{stop:09d}.json"
+    part = _verified(checksums) if checksums.exists() else None
     return part is not None and kind in part.files
 
 
@@ -90,10 +90,10 @@ def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
     are reported once.
     """
     parts, damaged = [], []
-    for seal in sorted((out / "parts" / key).glob("*.json")):
-        part = _unsealed(seal)
+    for checksums in sorted((out / "parts" / key).glob("*.json")):
+        part = _verified(checksums)
         if part is None:
-            damaged.append(seal.rename(f"{seal}.damaged"))
+            damaged.append(checksums.rename(f"{checksums}.damaged"))
         else:
             parts.append(part)
     return parts, damaged

@@ -12,7 +12,7 @@ import numpy as np
 from aoabench.maths import intervals
 from aoabench.maths.statistics import Array, Estimate, mean, pooled_rmse, quantile, rate, ratio
 
-CLUSTERED = ("rmse_3d_m", "rmse_xy_m", "rmse_z_m", "iterations")  # metrics that Clusters knows
+CLUSTERED = ("rmse_3d_m", "rmse_xy_m", "rmse_z_m", "iterations")  # metrics of Clusters.influence
 
 
 QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
@@ -23,10 +23,11 @@ class Clusters:
     """Sums over replications for each of P true positions that all replications share; every array
     (P,).
 
-    fixes: number of accepted fixes; square_3d, square_xy: sums of their squared errors, m^2;
-    iterations: sum of their iterations; influence_3d, influence_xy, influence_z: sums of the
-    position's linearised contributions to each replication's RMSE, about that RMSE, m;
-    replications: the number summed.
+    replications: number of replications summed; fixes: number of accepted fixes; square_3d,
+    square_xy: sums of their squared errors, m^2; iterations: sum of their iterations; influence_3d,
+    influence_xy, influence_z: sums of the influence of the position on the replication's RMSE, m.
+    With n accepted fixes and mean square error s^2 in a replication, an accepted fix with error e
+    has the influence (e^2 - s^2) / (2 s n), its share of the RMSE's change to first order.
     """
 
     replications: int
@@ -42,7 +43,7 @@ class Clusters:
         return Clusters(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     def grouped(self, place: np.ndarray) -> Clusters:
-        """The sums added up over equal numbers in `place` (P,), which counts from 0."""
+        """The sums over all positions that have the same number, from 0, in `place` (P,)."""
         sums = (
             np.bincount(place, getattr(self, f.name))
             for f in fields(self)
@@ -51,11 +52,12 @@ class Clusters:
         return Clusters(self.replications, *sums)
 
     def influence(self, metric: str) -> Array | None:
-        """Terms (P,) whose mean has the standard error of a metric's mean over replications; None
-        for a metric that is not clustered.
+        """Return the influence (P,) of each position on the mean over replications of `metric`, a
+        column of the replications table; None for a metric that is not clustered.
 
-        Each term is P times the position's contribution to that mean, about the mean. The metric is
-        a column of the replications table.
+        The influence is P times the first-order contribution of the position to the deviation of
+        that mean, and sums to 0. The standard error of the mean of these P numbers is the metric's
+        standard error, clustered by position.
         """
         if metric == "iterations":
             n = np.maximum(self.fixes, 1e-300)  # without any fix: no warning about a division by 0

@@ -1,10 +1,10 @@
 """The tables of a run: views made from its parts, and reading them back.
 
-<out>/cells/<cell>.json                    which cells, estimators and replications the tables show
+<out>/cells/<cell>.json                    the estimators and replications that the tables show
 <out>/{replications,steps}.parquet/        one file per cell
 <out>/{cells,summary,timing,failures,precision}.parquet
 <out>/tidy.parquet                         all replications with their cells' swept parameters;
-                                           what `load` returns
+                                           the frame that `load` returns
 """
 
 from __future__ import annotations
@@ -105,9 +105,9 @@ def one_kind(values: pd.Series) -> pd.Series:
     """The column as Parquet can store it: unchanged if its values are all numbers, all text or all
     bool, else as text.
     """
-    there = values.dropna()
-    kinds = {bool if isinstance(v, bool) else str if isinstance(v, str) else float for v in there}
-    text = there.map(lambda v: v if isinstance(v, str) else json.dumps(v))
+    given = values.dropna()
+    kinds = {bool if isinstance(v, bool) else str if isinstance(v, str) else float for v in given}
+    text = given.map(lambda v: v if isinstance(v, str) else json.dumps(v))
     return values if len(kinds) < 2 else text.reindex(values.index)
 
 
@@ -179,12 +179,12 @@ def _failures(
     if failed.empty:
         return []
     entry = record["estimators"][name]
-    said = errors(intact_parts(out, entry["key"]), entry["reps"])
+    messages = errors(intact_parts(out, entry["key"]), entry["reps"])
     columns = [c for c in FAILURES if c not in ("error", "replay")]
     return [
         {
             **{str(k): v for k, v in row.items()},
-            "error": said.get(row["replication"]),
+            "error": messages.get(row["replication"]),
             "replay": replay_command(
                 out,
                 record["cell"],

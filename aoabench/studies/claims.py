@@ -159,7 +159,7 @@ def verdict_text(rows: pd.DataFrame) -> str:
     counts = rows["verdict"].value_counts()
     open_ = int(rows["reason"].str.startswith("undecided").sum())
     total = ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
-    total += f" ({open_} of these undecided: more replications would tell)" if open_ else ""
+    total += f" ({open_} of these undecided: more replications are needed)" if open_ else ""
     return "\n".join(
         [
             lines[0],

@@ -1,5 +1,5 @@
 "use strict";
-// The front table: rows that fit the three filters are shown, a click on a head sorts by its column.
+// The front table: the rows that pass the three filters are shown; a click on a head sorts by its column.
 const front = document.getElementById("front"), body = front.tBodies[0], rows = Array.from(body.rows);
 const [study, verdict, words] = ["by-study", "by-verdict", "by-text"].map((id) => document.getElementById(id));
 const texts = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
@@ -20,7 +20,7 @@ function key(row, column) {
   return Number.isNaN(number) ? text : number;
 }
 
-function compare(a, b) { // numbers in their order, then texts in theirs; what is missing comes last
+function compare(a, b) { // numbers by value, then texts by alphabet; missing values come last
   const [m, n] = [typeof a, typeof b];
   if (m !== n) return m === "number" ? -1 : 1;
   return m === "number" ? a - b : (a === "") - (b === "") || a.localeCompare(b, "en", { numeric: true });
@@ -41,9 +41,9 @@ filter();
 document.querySelectorAll(".command").forEach((line) => {
   if (!navigator.clipboard) return;
   const button = line.appendChild(Object.assign(document.createElement("button"), { type: "button", textContent: "Copy" }));
-  const tell = (text) => { button.textContent = text; setTimeout(() => { button.textContent = "Copy"; }, 1500); };
+  const show = (text) => { button.textContent = text; setTimeout(() => { button.textContent = "Copy"; }, 1500); };
   button.addEventListener("click", () => navigator.clipboard.writeText(line.querySelector("code").textContent).then(
-    () => tell("Copied"), () => tell("Not allowed")));
+    () => show("Copied"), () => show("Not allowed")));
 });
 
 // On paper everything is open.

@@ -158,8 +158,8 @@ def embedded(figure: Path, colours: int = 255) -> str:
 
 def _made(origin: Mapping[str, Any]) -> str:
     """Scale, seconds, time and version of a table in one line, if its provenance has them."""
-    told = {"scale": "scale {}", "seconds": "{} s", "time": "{}", "aoabench": "aoabench {}"}
-    return ", ".join(text.format(origin[key]) for key, text in told.items() if key in origin)
+    texts = {"scale": "scale {}", "seconds": "{} s", "time": "{}", "aoabench": "aoabench {}"}
+    return ", ".join(text.format(origin[key]) for key, text in texts.items() if key in origin)
 
 
 def _machine(origin: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -175,10 +175,10 @@ def _settings(config: Any) -> list[tuple[str, str]]:
     if not isinstance(config, dict):
         return []
     cells = [dict(flatten(cell)) for cell in config.get("cells", [])]
-    said = [(key, str(value)) for key, value in config.items() if key not in ("cells", "scale")]
+    common = [(key, str(value)) for key, value in config.items() if key not in ("cells", "scale")]
     if not cells:
-        return said
-    lines = [*said, ("cells", str(len(cells)))]
+        return common
+    lines = [*common, ("cells", str(len(cells)))]
     for key in dict.fromkeys(name for cell in cells for name in cell):
         texts = dict.fromkeys(_short(cell[key]) for cell in cells if key in cell)
         if key not in ("runner.out", "runner.n_jobs", "runner.backend", "runner.chunk"):

@@ -21,7 +21,7 @@ _UNFIT = (
     TypeError,
     ValueError,
     OSError,
-)  # raised where a table lacks what is read
+)  # raised where a table lacks a column or value that is read
 
 
 def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
@@ -33,10 +33,8 @@ def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
 
 
 def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:
-    """Draw an item's figure from its stored table, if it has both; return the fault of the table,
-    or "".
-
-    A figure that cannot be drawn from its table is deleted.
+    """Draw an item's figure from its stored table, if the item has both; return the reason why the
+    table cannot be drawn, or "". The old figure of such a table is deleted.
     """
     path = figure_path(results, study, item)
     if not item.figure or not table_path(results, study, item).exists():

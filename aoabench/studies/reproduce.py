@@ -139,8 +139,8 @@ def draw(
 ) -> Drawn:
     """Figures of the named studies, and verdicts and page of all, from the tables under `results`.
 
-    `echo` gets a line for each table of another version, and for each study one with the items that
-    have no table.
+    Calls `echo` with a line for each table of another version, and for each study with a line that
+    lists the items without a table.
     """
     writable(str(results / "figures"), "--results")
     problems: dict[tuple[str, str], str] = {}

@@ -17,7 +17,7 @@ from aoabench.resources import shipped
 
 @dataclass(frozen=True)
 class Item:
-    """One table or figure: where its numbers come from and how it is described."""
+    """One table or figure: the source of its numbers, and its description."""
 
     name: str
     title: str

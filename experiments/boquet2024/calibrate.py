@@ -1,14 +1,14 @@
-"""Fit the parameters of `ble_multipath` to what the paper prints, and judge them on campaigns the
-fit has not seen.
+"""Fit the parameters of `ble_multipath` to the printed numbers and test them on other campaigns.
 
     python -m experiments.boquet2024.calibrate [--search 300] [--starts 2] [--evaluations 600]
     [--fresh 20] [--write]
 
-The fit sees `--seeds` campaigns of root seed 2024, always the same draws, so that the misfit is a
-function of the parameters alone, if not smooth enough for derivatives. It minimises the squared
+The fit uses `--seeds` campaigns of root seed 2024, always the same draws, so that the misfit is a
+function of the parameters alone, though too rough for derivatives. The fit minimises the squared
 misfits of `numbers/fit.py` and the log ratios to the printed grids by Powell's method, from the
-`--starts` best of `--search` random points and the shipped. The judgement uses `--fresh` campaigns
-of root seed 1, as the study does. `--write` puts the result into configs/noise/ble_multipath.yaml.
+`--starts` best among `--search` random points and the shipped parameters. The test uses `--fresh`
+campaigns of root seed 1, as the study does. `--write` writes the result into
+configs/noise/ble_multipath.yaml.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ METHODS = ("single_anchor_2", "anchor_mean", "vmf_ml")
 # / 8)
 GRID_WEIGHT = 0.35
 
-# what is fitted, with the bounds of each; shares and positive numbers move on their logarithms
+# bounds of the fitted parameters, which vary on their logarithms
 FREE = {
     "azimuth_noise_deg": (0.5, 6),
     "elevation_noise_deg": (0.5, 10),
@@ -102,7 +102,7 @@ def table(noise: BleMultipath, seed: int, count: int, packets: int) -> pd.DataFr
 
 
 def misfit(x: np.ndarray, count: int, packets: int) -> float:
-    """What the fit makes small, of `count` campaigns: half the sum of the squares."""
+    """The objective of the fit over `count` campaigns: half the sum of the squared misfits."""
     cell, fixes = campaigns(noise_of(x), FIT_SEED, count, packets)
     days = day_statistics(cell.scenario, cell.noise, FIT_SEED, 0, count)
     rows = misfits(fixes, days, len(cell.scenario.points_m))

@@ -95,7 +95,7 @@ def fig6(frame: pd.DataFrame) -> Figure:
 
 
 def fig6_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """RMSEs, ratios to the bound, and how far each other estimator is above the proposed one."""
+    """RMSEs, ratios to the bound, and the excess of each other estimator over the proposed one."""
     found = {}
     for r in frame.to_dict("records"):
         key = f"fig6/{r['sigma_deg']:g}/{r['estimator']}"
@@ -130,7 +130,9 @@ def fig7(frame: pd.DataFrame) -> Figure:
 
 
 def fig7_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """How many iterations more than the proposed one, paired over positions."""
+    """Iterations of the other ML estimators minus those of the proposed one, paired over
+    positions.
+    """
     others = frame[frame["estimator"].isin(["ml_arctan", "ml_atan2"])]
     return {
         f"fig7/{r['sigma_deg']:g}/{r['estimator']}/more": Estimate(
@@ -179,7 +181,9 @@ def table1(frame: pd.DataFrame) -> Figure:
 
 
 def table1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Over all deviations: each class's iterations, and its RMSE over the converged fixes'."""
+    """Over all deviations: iterations and share of each class, and the ratio of its RMSE to that of
+    the converged fixes.
+    """
     found = {}
     for r in frame[frame["sigma_deg"].isna()].to_dict("records"):
         key = f"table1/{r['estimator']}/{r['class']}"
@@ -193,7 +197,7 @@ def table1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 # --- errata, zones, pole --------------------------------------------------------------------------
 
 VARIANTS = {
-    "meant": ("as meant", STYLES["ml_kcorr"]),
+    "meant": ("corrected", STYLES["ml_kcorr"]),
     "invariant": (
         "start from invariant rows (L6)",
         {"color": "#009E73", "marker": "^", "ls": "--"},
@@ -204,8 +208,8 @@ VARIANTS = {
 
 
 def errata(frame: pd.DataFrame) -> Figure:
-    """RMSE of the proposed estimator as meant and with each erratum as printed, and how much more
-    that is.
+    """RMSE of the proposed estimator, corrected and with each erratum as printed, and the increase
+    in percent.
     """
     figure, (left, right) = new(PAGE, 2.9, cols=2)
     for variant, (label, style) in VARIANTS.items():
@@ -220,13 +224,13 @@ def errata(frame: pd.DataFrame) -> Figure:
     bound(left, rows["sigma_deg"], rows["bound_m"])
     left.set(xlabel=SIGMA, ylabel="RMSE of (d) [m]", yscale="log")
     right.axhline(0, color="black", lw=0.8, ls=":")
-    right.set(xlabel=SIGMA, ylabel="RMSE of (d) above as meant [%]")
+    right.set(xlabel=SIGMA, ylabel="RMSE of (d) above corrected [%]")
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
 def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """RMSE above the one as meant, in percent."""
+    """RMSE above that of the corrected estimator, in percent."""
     return {
         f"errata/{r['variant']}/{r['sigma_deg']:g}/{r['estimator']}": Estimate(
             r["above_meant_percent"], r["above_meant_se"]

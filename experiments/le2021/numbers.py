@@ -1,8 +1,8 @@
 """Le, Slock, Rossi 2021: the numbers behind each table and figure, one function per item, each
 giving one frame.
 
-Every fix of a replication stands at another position, and each position is seen in all
-replications: standard errors are over positions, from each position's mean over the draws.
+Every fix of a replication has another position, and all replications have the same positions:
+standard errors are over positions, from each position's mean over the replications' draws.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from aoabench.types import Outcome
 
 Runs = Iterable[tuple[Cell, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
 PROPOSED = "ml_kcorr"
-FEW = 10  # positions: fewer give no standard error
+FEW = 10  # positions; a class with fewer gets no standard error
 CLASSES = {
     "convergence": Outcome.OK,
     "divergence": Outcome.DIVERGED,
@@ -47,7 +47,7 @@ def bound(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
 
 
 def deviation_deg(cell: Cell) -> float:
-    """Deviation of a cell's angles in degrees, without the rounding of the way through radians."""
+    """Deviation of a cell's angles in degrees, without the rounding error of radians."""
     return round(float(np.rad2deg(cell.noise.sigma)), 9)
 
 
@@ -62,7 +62,9 @@ def rms(square: np.ndarray) -> Estimate:
 
 
 def standing(above: Estimate, z: float = 3.0) -> str:
-    """The proposed one's standing by a paired difference (another one's minus its own)."""
+    """Whether the proposed estimator's value is lower, higher or a tie, by the paired difference
+    `above` (another estimator's value minus its own).
+    """
     return (
         "lower"
         if above.value > z * above.se
@@ -73,8 +75,8 @@ def standing(above: Estimate, z: float = 3.0) -> str:
 
 
 def accuracy(cell: Cell, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
-    """A row per estimator of one cell: RMSE, its ratio to the bound, iterations, and both against
-    the proposed one.
+    """A row per estimator of one cell: RMSE, its ratio to the bound and iterations, with RMSE and
+    iterations compared with those of the proposed estimator.
     """
     crb, crb_xy = bound(cell)
     proposed = fixes[PROPOSED]
@@ -97,7 +99,7 @@ def accuracy(cell: Cell, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
 
 
 def updates(name: str, f: Fixes, proposed: Fixes) -> dict[str, Any]:
-    """Columns on an estimator's iterations, and on how many they exceed the proposed one's by."""
+    """Columns of an estimator's iterations, and of their excess over the proposed estimator's."""
     if name == "ls":  # solves one linear system
         count = more = Estimate(float("nan"), float("nan"))
     else:
@@ -124,8 +126,8 @@ def fig5(scale: str) -> pd.DataFrame:
 
 
 def fig6(runs: Runs) -> pd.DataFrame:
-    """Per deviation and estimator what `accuracy` says, and the share of the squared bias in the
-    mean square error.
+    """Per deviation and estimator the columns of `accuracy`, and the share of the squared bias in
+    the mean square error.
     """
     rows = []
     for cell, fixes in runs:
@@ -141,13 +143,13 @@ def fig6(runs: Runs) -> pd.DataFrame:
 
 
 def fig7(runs: Runs) -> pd.DataFrame:
-    """Per deviation and estimator what `accuracy` says."""
+    """Per deviation and estimator the columns of `accuracy`."""
     return pd.DataFrame([row for cell, fixes in runs for row in accuracy(cell, fixes)])
 
 
 def bias(cell: Cell, name: str, draws: int) -> Estimate:
-    """Squared bias in percent of the mean square error: mean over positions, freed from the noise
-    of the mean error.
+    """Squared bias in percent of the mean square error: mean over positions, without the
+    contribution of the noise to the squared mean error.
     """
     simulated, error = Draws(cell.scenario, cell.noise, cell.seed), []
     for r in range(draws):
@@ -162,8 +164,8 @@ def bias(cell: Cell, name: str, draws: int) -> Estimate:
 
 
 def table1(runs: Runs) -> pd.DataFrame:
-    """Per estimator and class, over all deviations (sigma_deg NaN) and for each: shares, errors,
-    iterations.
+    """Per estimator and class: shares, errors and iterations, over all deviations (sigma_deg NaN)
+    and for each deviation.
     """
     kept: dict[tuple[str, float], Fixes] = {}
     for cell, fixes in runs:
@@ -209,8 +211,8 @@ def classes(name: str, sigma_deg: float, some: list[Fixes]) -> list[dict[str, An
 
 
 def over_converged(square: np.ndarray, n: np.ndarray, other: np.ndarray, m: np.ndarray) -> Estimate:
-    """RMSE of a class over the converged fixes', from both sums (P,) of squares and of fixes at
-    each position.
+    """Ratio of a class's RMSE to that of the converged fixes, from the sums (P,) of squared errors
+    and the numbers (P,) of fixes at each position.
     """
     return statistics.ratio_of_ratios(square, n, other, m).root()
 
@@ -231,7 +233,9 @@ def median(error: np.ndarray, member: np.ndarray, groups: int = 20) -> Estimate:
 
 
 def errata(runs: Runs) -> pd.DataFrame:
-    """Per deviation and variant: what `accuracy` says, and the RMSE above the one as meant."""
+    """Per deviation and variant: the columns of `accuracy`, and the RMSE above that of the
+    corrected variant ("meant").
+    """
     rows, squares = [], {}
     for cell, fixes in runs:
         options = cell.config["estimator"][PROPOSED]
@@ -253,19 +257,19 @@ def errata(runs: Runs) -> pd.DataFrame:
 
 
 def zones(runs: Runs) -> pd.DataFrame:
-    """What `accuracy` says per zone, deviation and estimator."""
+    """Per zone, deviation and estimator the columns of `accuracy`."""
     return pd.DataFrame(
         [{"zone": zone(cell.scenario), **row} for cell, f in runs for row in accuracy(cell, f)]
     )
 
 
 def zone(scenario: Scenario) -> str:
-    """A zone's name for people."""
+    """The name of a zone in tables and figures."""
     return "none" if scenario.zone == "none" else f"{scenario.zone} {scenario.clearance_m:g} m"
 
 
 def pole(runs: Runs) -> pd.DataFrame:
-    """What `accuracy` says per horizontal distance from a column, deviation and estimator."""
+    """Per horizontal distance from a column, deviation and estimator the columns of `accuracy`."""
     return pd.DataFrame(
         [
             {"distance_m": cell.scenario.clearance_m, **row}

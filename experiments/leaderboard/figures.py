@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 
 def board(frame: pd.DataFrame) -> Figure:
-    """RMSE with three standard errors of each estimator, a panel per setting, the best of the first
-    one on top.
+    """RMSE with three standard errors of each estimator, a panel per setting, in the order of the
+    first setting, the best on top.
     """
     settings = list(frame["setting"].unique())
     names = list(frame[frame["setting"] == settings[0]]["estimator"])[::-1]

@@ -1,6 +1,4 @@
-"""Leaderboard: in each scenario every estimator that applies there, on the same draws, paired with
-the best of them.
-"""
+"""Leaderboard: every estimator that runs in a scenario, on the same draws, paired with the best."""
 
 from __future__ import annotations
 
@@ -53,16 +51,16 @@ def bs_grid(runs: Iterable[tuple[Cell, dict[str, Fixes]]]) -> pd.DataFrame:
 
 
 def _above(square: np.ndarray, other: np.ndarray) -> tuple[Estimate, tuple[float, float]]:
-    """RMSE above another one's in percent, from mean squares (P,) per position, with its 95 %
-    interval.
+    """Excess of an RMSE over another one in percent, with its 95 % interval, from the mean squares
+    (P,) m^2 per position of both.
     """
     above = (statistics.ratio(square, other).root() - 1).percent()
     return above, above.interval()
 
 
 def _over_replications(frame: pd.DataFrame, settings: pd.Series, axis: str) -> pd.DataFrame:
-    """Rows of the leaderboard from replications; one of an estimator without a position has no RMSE
-    and no pair.
+    """Rows of the leaderboard from replications; replications without a position have no RMSE and
+    form no pair.
     """
     rows = []
     for setting, part in frame.groupby(settings, sort=False):

@@ -53,7 +53,7 @@ def fig2(frame: pd.DataFrame) -> Figure:
 
 
 def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """What the paper says of its map, counted on ours."""
+    """Properties of our map for which the paper prints numbers of its map."""
     walls, an = frame[frame["kind"] == "wall"], frame[frame["kind"] == "access node"]
     route = frame[frame["kind"] == "route"]
     x, y = (np.concatenate([walls[f"{c}_m"], walls[f"{c}1_m"]]) for c in "xy")
@@ -94,8 +94,8 @@ def fig3(frame: pd.DataFrame) -> Figure:
 
 
 def fig3_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Shares within the printed limits, and the deviation of the times over that of their thermal
-    part.
+    """Shares of the errors within the printed limits, and the ratio of the times' deviation to that
+    of their thermal part.
     """
     rows = frame[frame["kind"] != "cdf"].set_index("name")
     return {f"fig3/{name}": Estimate(r["value"], r["se"]) for name, r in rows.iterrows()}
@@ -128,7 +128,9 @@ def fig4(frame: pd.DataFrame) -> Figure:
 
 
 def _rmse(axis: Any, rows: pd.DataFrame, name: str, part: str) -> None:
-    """Draw a method's RMSE in space (3d) or height (z), faintly that without diverged trials."""
+    """Draw a method's RMSE in space (3d) or height (z), and in a faint line the RMSE without the
+    diverged trials.
+    """
     value, label = rows[f"rmse_{part}"], NAMES[name]
     bars = log_bars(value, rows[f"rmse_{part}_se"].fillna(0))
     look = {"capsize": 2, "elinewidth": 0.8, "label": label, **STYLES[name]}
@@ -146,7 +148,7 @@ def _diverged(axis: Any, rows: pd.DataFrame, name: str) -> None:
 
 
 def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """RMSEs, filters above the centroid (paired), rates of divergence and crossings."""
+    """RMSEs, paired excess of the filters over the centroid, rates of divergence and crossings."""
     found = {}
     for r in frame.dropna(subset=["an_sigma_m"]).to_dict("records"):
         key = f"fig4/{r['an_error']}/{r['an_sigma_m']:g}/{r['estimator']}"
@@ -158,9 +160,7 @@ def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
             found[f"{key}/above_wcg"] = Estimate(r["above_wcg"], r["above_wcg_se"])
     for r in frame[frame["an_sigma_m"].isna()].to_dict("records"):
         low, high = r["crossing_low_m"], r["crossing_high_m"]
-        certain = (
-            0.0 if np.isinf(low) else np.nan
-        )  # not even the interval's lower end lies in the range
+        certain = 0.0 if np.isinf(low) else np.nan  # the whole interval lies beyond the range
         se = 0.5 * (high - low) / 1.96 if np.isfinite(high) else certain
         found[f"fig4/{r['an_error']}/crossing/{r['estimator']}"] = Estimate(r["crossing_m"], se)
     return found
@@ -180,15 +180,15 @@ def table2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 VARIANTS = {
-    "meant": "as meant", "jacobian": "derivatives (U1, U2)", "shared": "one shared error (U3)",
+    "meant": "corrected", "jacobian": "derivatives (U1, U2)", "shared": "one shared error (U3)",
     "cross": "no cross terms (U4)", "alpha": "orientation (U5)", "gain": "array gain twice (U6)",
     "wrap": "no wrap (U8)",
 }  # fmt: skip
 
 
 def errata(frame: pd.DataFrame) -> Figure:
-    """Median RMSE as meant and with one erratum as printed, per method, without and with uncertain
-    access nodes.
+    """Median RMSE of each method, corrected and with one erratum as printed, without and with
+    uncertain access nodes.
     """
     figure, axes = new(PAGE, 3.0, cols=2, sharey=True)
     rows_of = [v for v in VARIANTS if v in set(frame["variant"])]

@@ -30,5 +30,5 @@ def test_quiet_prints_the_table_alone(call, small_run, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("aoabench.store.files.write_frame", refuse)
-    assert "not kept" in call("compare", small_run)[2]
+    assert "cannot be written" in call("compare", small_run)[2]
     assert call("compare", small_run, "-q") == (0, text, "")

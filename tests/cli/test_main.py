@@ -50,7 +50,7 @@ def test_version(flag, call):
     (["frobnicate"], "unknown command 'frobnicate'; allowed: run, list, compare, collect, replay, "
      "reproduce, report; see `aoabench --help`"),
     (["--hlep"], "unknown option --hlep; did you mean '--help'? see `aoabench --help`"),
-    (["--json", "list"], "unknown option --json here; allowed: after the command; see `aoabench --help`"),
+    (["--json", "list"], "unknown option --json before the command; allowed: after the command; see `aoabench --help`"),
     (["run", "--noise=vmf"], "run: unknown option --noise; did you mean 'noise=...'? see `aoabench run --help`"),
     (["run", "--wrst", "3"], "run: unknown option --wrst; did you mean '--worst'? see `aoabench run --help`"),
     (["run", "--worst"], "run: --worst needs a value; see `aoabench run --help`"),
@@ -71,7 +71,7 @@ def test_a_mistake_in_the_words_is_one_line(words, line, call):
     (UserError("one\n  line"), 2, "aoabench: one line\n"),
     (RunError("no space"), 1, "aoabench: no space\n"),
     (KeyboardInterrupt(), 130,
-     "aoabench: interrupted; what was finished is kept, the same command goes on from there\n"),
+     "aoabench: interrupted; finished parts are kept, the same command continues from them\n"),
 ])  # fmt: skip
 def test_exit_status(error, status, line, call, monkeypatch):
     def fail(*_arguments):

@@ -143,7 +143,7 @@ def test_an_unknown_need_is_refused():
 
 def test_check_takes_scenario_and_noise():
     own = type("Mine", (Middle,), {"check": lambda self, scenario: None})
-    with pytest.raises(UserError, match=r"check takes two arguments, \(scenario, noise\)"):
+    with pytest.raises(UserError, match=r"check: must take two arguments, \(scenario, noise\)"):
         as_estimator(own(), "estimator.x")
 
 

@@ -163,7 +163,7 @@ def test_a_full_disk(reference, tmp_path):
         status, said = Command(*words, "runner.n_jobs=2").finished()
         assert status == 1
         assert (
-            "cannot be written any more: No space left on device; what was finished is kept" in said
+            "cannot be written any more: No space left on device; finished parts are kept" in said
         )
         assert len(said.strip().splitlines()) == 1
         before = seals(out)
@@ -198,7 +198,7 @@ def test_a_disk_that_becomes_read_only(reference, tmp_path, monkeypatch):
         patch.setattr(os, "replace", fails_later)
         with pytest.raises(
             RunError,
-            match="cannot be written any more: Read-only file system; what was finished is kept",
+            match="cannot be written any more: Read-only file system; finished parts are kept",
         ):
             runner.run(cells, progress=False)
     before = seals(tmp_path)
@@ -259,7 +259,7 @@ def test_a_worker_without_memory(tmp_path, monkeypatch):
         status, said = Command(*words, f"runner.n_jobs={jobs}", "runner.out=out").finished()
         assert status == 1
         assert match in said
-        assert "what was finished is kept" in said
+        assert "finished parts are kept" in said
         assert len(said.strip().splitlines()) == 1
         (tmp_path / how).unlink()
     before = seals(tmp_path / "out")

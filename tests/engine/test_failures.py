@@ -192,7 +192,7 @@ def test_declared_failures_never_stop_a_run(tmp_path):
 
 @pytest.mark.parametrize(("says", "expected", "match"), [
     ("user", aoabench.UserError, "user in 3"),
-    ("memory", aoabench.RunError, "out of memory .* the same command goes on"),
+    ("memory", aoabench.RunError, "out of memory .* the same command continues"),
 ])  # fmt: skip
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_what_is_not_the_datas_fault_stops_the_run(says, expected, match, jobs, luck):

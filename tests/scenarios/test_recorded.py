@@ -534,7 +534,7 @@ def test_an_exported_replication_gives_the_same_errors(scenario, kind, estimator
         )
     )
     text = write(replay(done.out, 1, "ls_lines"), kind)
-    words = shlex.split(text.splitlines()[-1].removeprefix("read it back: aoabench run "))
+    words = shlex.split(text.splitlines()[-1].removeprefix("read the log: aoabench run "))
     again = runner.run(compose_cells([*words, *some, "runner.out=again"]))
     steps = [
         pd.concat(pd.read_parquet(f) for f in (d.out / "steps.parquet").glob("*.parquet"))

@@ -103,7 +103,7 @@ def test_the_line_says_better_by_how_much_and_how_surely(swept, tmp_path, capsys
         == 4
     )
     assert text.count("ekf_ae_fitted and ekf_vmf: no difference seen at this N = 60: ") == 4
-    assert text.count(" would show 1 %") == 4
+    assert text.count(" to detect 1 %") == 4
     assert "Holm's method over the 8 comparisons" in text
     kept = pd.read_parquet(out / "compare.parquet")
     pd.testing.assert_frame_equal(kept, aoabench.compare(out, "ekf_vmf"), check_dtype=False)
@@ -143,7 +143,7 @@ def test_shared_positions_cluster_iterations_too_but_not_failures(grid):
 def test_fixes_that_are_gone_are_said_and_not_done_without(grid, tmp_path):
     shutil.copytree(grid, tmp_path, dirs_exist_ok=True)
     shutil.rmtree(tmp_path / "parts")
-    with pytest.raises(aoabench.RunError, match="are gone; run the same command again"):
+    with pytest.raises(aoabench.RunError, match="are missing; run the same command again"):
         dispatch(["compare", str(tmp_path)])
     assert dispatch(["compare", str(tmp_path), "--metric", "failure_rate"]) == 0
 
@@ -231,14 +231,15 @@ def test_a_zero_baseline_is_compared_in_the_metrics_own_unit(swept, tmp_path, ca
 
 def test_one_estimator_is_nothing_to_compare(tmp_path, capsys):
     aoabench.run("filter=[ekf_vmf]", "reps=5", out=tmp_path)
-    assert "nothing to compare, only ekf_vmf here" in said(capsys, tmp_path)
+    assert "nothing to compare, ekf_vmf is its only estimator" in said(capsys, tmp_path)
     assert aoabench.compare(tmp_path).empty
     aoabench.run("filter=[ekf_ae_fitted,ukf_vmf]", "noise.sigma_deg=3", "reps=5", out=tmp_path)
     text = said(capsys, tmp_path, "--baseline", "ukf_vmf")
-    assert "nothing to compare, only ekf_vmf here" in text
+    assert "nothing to compare, ekf_vmf is its only estimator" in text
     assert "than ukf_vmf by" in text or "and ukf_vmf: no difference" in text
     aoabench.run("filter=[ekf_ae_fitted]", "reps=5", out=tmp_path)
-    assert "nothing to compare, no ukf_vmf here" in said(capsys, tmp_path, "--baseline", "ukf_vmf")
+    text = said(capsys, tmp_path, "--baseline", "ukf_vmf")
+    assert "nothing to compare, ukf_vmf is not among its estimators" in text
 
 
 @pytest.mark.parametrize(("words", "says"), [

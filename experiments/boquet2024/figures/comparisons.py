@@ -46,8 +46,8 @@ def ranking(frame: pd.DataFrame) -> Figure:
 
 
 def ranking_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Differences of P(error <= 1 m) in percent points; the filter's at R_sigma 0.2 and 1, the
-    others' all.
+    """Differences of P(error <= 1 m) in percent points; those of the discrepancy filter at R_sigma
+    0.2 and 1 only.
     """
     rows = frame[
         ~frame["method"].str.startswith("df") | frame["method"].isin(["df 0.2", "df 1"])
@@ -58,8 +58,8 @@ def ranking_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def rejection(frame: pd.DataFrame) -> Figure:
-    """P(error <= 1 m) against coverage: every method that has a score with thresholds on it, DF by
-    its R_sigma; what the paper prints of DF.
+    """P(error <= 1 m) against coverage: methods with a score for several thresholds on it, DF for
+    several R_sigma, and the printed values of DF.
     """
     figure, axis = new(0.65 * PAGE, 3.4)
     for name in NAMES:
@@ -89,8 +89,8 @@ def _named_point(axis: Any, rows: pd.DataFrame, name: str) -> None:
 
 
 def boxes(frame: pd.DataFrame) -> Figure:
-    """Against R_sigma: how often bounding boxes and exact ellipses choose differently, and how good
-    both are.
+    """Against R_sigma: the share of packets in which bounding boxes and exact ellipses differ, and
+    P(error <= 1 m) and R_d of both.
     """
     figure, (left, right) = new(PAGE, 2.7, cols=2)
     for key, label, colour in (
@@ -126,8 +126,8 @@ def boxes_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Put right minus as the paper ran it, in percent points, and the share of the packets that it
-    moves.
+    """Per erratum: P(error <= 1 m) corrected minus as the paper ran it, in percent points, and the
+    share of the packets whose fix changes.
     """
     return {
         f"errata/{r['variant']}/{key}": estimate(r, key)

@@ -1,4 +1,4 @@
-"""What the noise was fitted to, and the time of a fix."""
+"""The misfits of the fitted noise, and the time per fix."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def misfit(frame: pd.DataFrame) -> Figure:
-    """What the noise was fitted to: ours minus printed in units of the fit's tolerances."""
+    """Our number minus the printed one, for each number that the noise is fitted to, in units of
+    the fit's tolerances.
+    """
     rows = frame[frame["misfit"].notna()].iloc[::-1]
     figure, axis = new(PAGE, 3.6)
     y = np.arange(len(rows))
@@ -33,7 +35,7 @@ def misfit(frame: pd.DataFrame) -> Figure:
 
 
 def misfit_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Ours, for each number of the fit."""
+    """Our number for each number that the noise is fitted to."""
     return {
         f"misfit/{r['id']}": Estimate(float(r["ours"]), float(r["se"]))
         for r in frame.to_dict("records")

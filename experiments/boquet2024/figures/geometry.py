@@ -45,8 +45,8 @@ def fig2(frame: pd.DataFrame) -> Figure:
 
 
 def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """The least GDOP of one anchor, where it is sqrt(3) times that, and the share of the room below
-    6 m.
+    """The least GDOP of one anchor, the distance at which the GDOP is sqrt(3) times as large, and
+    for several anchors the additional share of the room below 6 m, in percent points.
     """
     one = frame.set_index("layout")
     found = {
@@ -88,7 +88,7 @@ def _rectangle() -> Any:
 
 
 def fig3a_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """95th percentiles of the errors, positions clipped to the room and not."""
+    """95th percentiles of the errors, with positions clipped to the room and without clipping."""
     rows = frame[frame["kind"].isin(["clipped", "unclipped"])].to_dict("records")
     key = {"B": "b", "mean of A and B": "mean"}
     return {
@@ -112,8 +112,8 @@ def fig3b(frame: pd.DataFrame) -> Figure:
 
 
 def fig3b_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Share of the room, in percent, where the single anchor C is better by three standard errors,
-    and where worse.
+    """Shares of the room, in percent, in which the single anchor C is better, and worse, by three
+    standard errors.
     """
     d = frame["pair_m"] - frame["single_m"]
     se = np.hypot(frame["pair_se"], frame["single_se"])  # not paired: an upper limit
@@ -165,7 +165,9 @@ def rule(frame: pd.DataFrame) -> Figure:
 
 
 def rule_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Where B begins to do harm: the ratio crosses 1, by a line through the two nearest points."""
+    """The ratio of deviations above which B increases the RMSE: the RMSE ratio crosses 1, by a line
+    through the two nearest points.
+    """
     i = int(np.flatnonzero(frame["ratio"].to_numpy() < 1)[-1])
     a, b = frame.iloc[i], frame.iloc[i + 1]
     slope = (b["ratio"] - a["ratio"]) / (b["gamma"] - a["gamma"])

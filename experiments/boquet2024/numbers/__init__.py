@@ -1,7 +1,7 @@
 """Boquet et al. 2024: the numbers behind each figure, one function per item, each giving one frame.
 
-A replication is a campaign with a channel of its own, so standard errors are over campaigns; what
-needs a quantile of all fixes leaves out one campaign at a time (jackknife). Errors are horizontal.
+A replication is a campaign with a channel of its own, so standard errors are over campaigns; those
+of quantiles of all fixes leave out one campaign at a time (jackknife). Errors are horizontal.
 """
 
 from .campaign import fig5, fig6, fig7, fig8

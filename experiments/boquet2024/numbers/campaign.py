@@ -56,7 +56,7 @@ def fig5(runs: Runs) -> pd.DataFrame:
 def fig6(runs: Runs) -> pd.DataFrame:
     """RMSE, CEP90, P(error <= 1 m) and both discard ratios against R_sigma.
 
-    `lost_less` is how much R_d falls from the next smaller R_sigma to this one.
+    `lost_less` is the decrease of R_d from the next smaller R_sigma.
     """
     _, fixes = only(runs)
     found, rows, before = filters(fixes), [], None
@@ -86,8 +86,8 @@ def at_lost(fixes: dict[str, Fixes], share: float) -> tuple[float, Fixes]:
 
 
 def fig7(runs: Runs) -> pd.DataFrame:
-    """CDFs of all methods, the discrepancy filter in three readings, and each method on the fixes
-    that those accept.
+    """CDFs of all methods, of the discrepancy filter in three readings, and of each other method on
+    the fixes that each reading accepts.
     """
     _, fixes = only(runs)
     df = {"df R_sigma = 1": filters(fixes)[1.0], "df R_sigma = 0.2": filters(fixes)[0.2]}
@@ -116,7 +116,7 @@ def fig8(runs: Runs) -> pd.DataFrame:
         unnamed = name in (
             "ls_anchor_discarding",
             "rssi_anchor",
-        )  # the paper's panel is one of both
+        )  # the paper's unnamed panel shows one of them
         for i, (x, y) in enumerate(points):
             each = m[:, i][np.isfinite(m[:, i])]
             mean = statistics.mean(each).columns("median_m", "median_se")

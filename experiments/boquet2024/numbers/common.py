@@ -1,4 +1,4 @@
-"""What the items share: methods, the fixes of a run, and statistics over campaigns (R, T)."""
+"""Names of the methods, the fixes of a run, and statistics over campaigns (R, T)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ METHODS = (
     "ls_anchor_discarding",
     "vmf_ml",
 )
-# methods whose score measures how badly the anchors agree
+# methods whose score measures the disagreement of the anchors
 SCORED = ("anchor_mean", "ls_lines", "ls_anchor_discarding", "vmf_ml")
 ERRORS = np.round(np.arange(0.0, 6.01, 0.05), 2)  # m, grid of the distribution functions
 
@@ -47,7 +47,7 @@ def columns(**estimates: Estimate) -> dict[str, float]:
 
 
 def error(f: Fixes) -> np.ndarray:
-    """Horizontal errors (R, T) m; NaN where there is no fix."""
+    """Horizontal errors (R, T) m; NaN for a step without a fix."""
     return f.error_xy_m.astype(float)
 
 
@@ -62,7 +62,7 @@ def rms(e: np.ndarray) -> float:
 
 
 def lost(f: Fixes) -> Estimate:
-    """R_d, the share of fixes that are rejected, among those for which anything was measured."""
+    """R_d: the share of rejected fixes among the fixes with a measurement."""
     tried = f.outcome != Outcome.FAILED
     return statistics.ratio((f.outcome == Outcome.REJECTED).sum(axis=1), tried.sum(axis=1))
 

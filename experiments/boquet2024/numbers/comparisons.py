@@ -29,7 +29,9 @@ MOVED_M = 1e-4  # positions further apart than this are different fixes
 
 
 def difference(a: np.ndarray, b: np.ndarray, limit_m: float = 1.0) -> Estimate:
-    """P(error <= limit) of errors a minus that of errors b (R, T), paired over campaigns."""
+    """P(error <= limit_m) of the errors a minus that of the errors b (R, T), paired over
+    campaigns.
+    """
     hits, given = zip(*(((e <= limit_m).sum(axis=1), np.isfinite(e).sum(axis=1)) for e in (a, b)))
     return statistics.ratio_difference(hits[0], given[0], hits[1], given[1])
 
@@ -65,10 +67,10 @@ def _more(at: str, method: str, other: str, a: np.ndarray, b: np.ndarray) -> dic
 
 
 def thresholded(f: Fixes, coverage: float) -> np.ndarray:
-    """Errors (R, T) with the fixes of the worst scores rejected, so that this share of all is
-    given.
+    """Errors (R, T) m of a method that rejects its fixes with the worst scores (NaN), so that the
+    share `coverage` of all fixes remains.
 
-    A fix without a score (one anchor alone) counts as the worst: nothing vouches for it.
+    A fix without a score (one anchor alone) counts as the worst, as no other anchor confirms it.
     """
     e = error(f)
     score = np.where(np.isfinite(f.score), f.score, np.inf)
@@ -104,8 +106,8 @@ def _covered(method: str, e: np.ndarray, r_sigma: float = np.nan) -> dict[str, A
 
 
 def boxes(runs: Runs) -> pd.DataFrame:
-    """Boxes against exact ellipses per R_sigma: how often outcome or number of anchors differ, and
-    how good both are.
+    """Boxes against exact ellipses per R_sigma: shares of the packets in which outcome or number of
+    anchors, or the position, differ; P(error <= 1 m), R_d and RMSE of both.
     """
     _, fixes = only(runs)
     exact = filters(fixes, "exact")
@@ -132,10 +134,10 @@ def boxes(runs: Runs) -> pd.DataFrame:
 
 
 def errata(runs: Runs) -> pd.DataFrame:
-    """What each erratum does alone at R_sigma = 1, in percent points.
+    """The effect of each erratum alone at R_sigma = 1, in percent points.
 
-    `more` is P(error <= 1 m) put right minus as the paper ran it, `moved` the share of the packets
-    whose fix changes.
+    `more` is P(error <= 1 m) with the erratum corrected minus as the paper ran it; `moved` is the
+    share of the packets whose fix changes.
     """
     _, fixes = only(runs)
     ran = filters(fixes)[1.0]

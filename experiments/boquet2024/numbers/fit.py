@@ -1,4 +1,4 @@
-"""What the noise of the synthetic campaign was fitted to, and how well."""
+"""The numbers that the noise of the synthetic campaign is fitted to, and their misfits."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ SWEEP = {  # R_sigma: P(error <= 1 m), R_d
 def day_statistics(
     scenario: Scenario, noise: Noise, seed: int, first: int, count: int
 ) -> dict[str, np.ndarray]:
-    """Size of the mean, and standard deviation, of the first anchor's angle errors over the room in
-    deg, (campaigns, days) each.
+    """Absolute mean and standard deviation over the room of the first anchor's angle errors, each
+    (campaigns, days) deg.
 
-    The paper's are "average errors" of ten places that it does not name.
+    The paper prints "average errors" over ten places without naming them.
     """
     found: dict[str, list[list[float]]] = {key: [] for key in DAYS}
     draws = Draws(scenario, noise, seed)
@@ -110,7 +110,7 @@ def _misfit(
 
 
 def misfit(runs: Runs) -> pd.DataFrame:
-    """What `misfits` says of campaigns that the fit has not seen."""
+    """The rows of `misfits` for campaigns that the fit does not use."""
     cell, fixes = only(runs)
     count = len(fixes["vmf_ml"].outcome)
     days = day_statistics(cell.scenario, cell.noise, cell.seed, 0, count)

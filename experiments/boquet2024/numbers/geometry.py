@@ -50,7 +50,9 @@ def fig2(scale: str) -> pd.DataFrame:
 
 
 def one_anchor() -> list[dict[str, Any]]:
-    """The least GDOP of one anchor, and the distance at which it is sqrt(3) times that below it."""
+    """The least GDOP of one anchor, and the distance from the anchor at which the GDOP is sqrt(3)
+    times the value below the anchor.
+    """
     anchors = standard_room("_1")
 
     def single(away: float) -> float:
@@ -69,8 +71,8 @@ def one_anchor() -> list[dict[str, Any]]:
 def single_positions(
     node: np.ndarray, anchors: np.ndarray, e: np.ndarray, clip: bool
 ) -> np.ndarray:
-    """Positions (N, B, 2) m from each anchor (B, 3) by itself for a node (3,) and angle errors e
-    (2, N, B) rad.
+    """Positions (N, B, 2) m of a node (3,) m, each from one of the anchors (B, 3) m alone, with
+    angle errors e (2, N, B) rad.
     """
     a = upright(anchors)
     azimuth, elevation = to_azel(*in_frames(node[None, None], a.position, a.rotation))
@@ -85,8 +87,8 @@ def normal_errors(n: int, anchors: int) -> np.ndarray:
 
 
 def fig3a(scale: str) -> pd.DataFrame:
-    """Samples at (8.5, 3.0) m from B and of the mean of A and B, unclipped; and 95th percentiles of
-    their errors.
+    """Position samples of a node at (8.5, 3.0) m from B alone and from the mean of A and B,
+    unclipped, and 95th percentiles of their errors.
     """
     n = 10_000 if scale == "quick" else 1_000_000
     node, rows = np.array([8.5, 3.0, 0.0]), []

@@ -1,4 +1,4 @@
-"""How long each method takes for a fix."""
+"""The time that each method takes for a fix."""
 
 from __future__ import annotations
 

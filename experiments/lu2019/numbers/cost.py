@@ -29,13 +29,13 @@ def textbook_count(m: int, n: int) -> int:
 
 
 def our_count(method: str, M: int) -> int:
-    """Multiplications and divisions of one step at nine states as our code does it, trigonometric
-    functions apart.
+    """Multiplications and divisions of one step of our code with nine states, without trigonometric
+    functions.
 
-    For the filters counted by running the kernel's source on numbers that count (a test does it):
+    For the filters, a test runs the kernel's source on numbers that count their multiplications:
     the prediction with the structure of (19), its Cholesky factor and a 3 x 3 update cost 966, each
-    access node 148, its time measured or not. The centroid: range, direction, its turn into the
-    map, weight, weighted sums.
+    access node 148, with or without a measured time. For the centroid: range, direction, its
+    rotation into the map's frame, weight, weighted sums.
     """
     return {"ekf_toa_aoa": 966 + 148 * M, "ekf_aoa": 966 + 148 * M, "wcg": 20 * M + 3}[method]
 

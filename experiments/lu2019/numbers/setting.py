@@ -48,8 +48,8 @@ def table1(scale: str) -> pd.DataFrame:
 
 
 def fig2(scale: str) -> pd.DataFrame:
-    """Walls (x_m, y_m to x1_m, y1_m), access nodes (facing x1_m, y1_m) and the route's points, with
-    what they see.
+    """Walls (x_m, y_m to x1_m, y1_m), access nodes (facing x1_m, y1_m) and the points of the route,
+    each with its number of access nodes in line of sight.
     """
     scenario = cell_of().scenario
     anchors, route = scenario.true_anchors, scenario.truth(np.random.default_rng(0))[:, :3]

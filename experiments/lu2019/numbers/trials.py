@@ -1,4 +1,4 @@
-"""Figure 4, errata and consistency: what the methods do over many trials."""
+"""Figure 4, errata and consistency: statistics of the methods over many trials."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
     """Per kind of error, uncertainty and method: RMSEs with and without diverged trials, paired
     against the centroid.
 
-    Rows with sigma NaN hold where a filter's curve crosses the centroid's: `crossing_m` and its 95
-    % interval.
+    Rows with sigma NaN hold the uncertainty at which a filter's curve crosses the centroid's,
+    `crossing_m`, and its 95 % interval.
     """
     rows = []
     keys = ["noise.an_error", "noise.an_sigma_m"]
@@ -56,8 +56,8 @@ def crossing(runs: pd.DataFrame, name: str, resamplings: int = 1000) -> dict[str
     """Smallest uncertainty at which the filter's median RMSE reaches the centroid's, by linear
     interpolation.
 
-    The interval is a bootstrap over whole trials, which are the same draws at every uncertainty.
-    NaN: not in the range.
+    The interval is a bootstrap over whole trials, which have the same draws at every uncertainty.
+    Infinite if the curve does not cross within the range.
     """
     wide = runs.pivot(
         index="replication", columns=["estimator", "noise.an_sigma_m"], values="rmse_3d_m"
@@ -90,7 +90,7 @@ def errata(runs: pd.DataFrame) -> pd.DataFrame:
         gain = first.get("noise.as_printed", "[]") == '["gain"]'
         flags = first["filter.ekf_toa_aoa.as_printed"].strip('[]"')
         if gain and flags:
-            continue  # one at a time
+            continue  # one erratum at a time
         for name, rows in group.groupby("estimator"):
             if name.startswith("wcg") and flags:
                 continue

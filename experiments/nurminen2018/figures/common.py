@@ -14,7 +14,7 @@ ORDER.insert(ORDER.index("ukf_ae_adaptive") + 1, "ukf_ae_adaptive_augmented")
 
 
 def label(estimator: str) -> str:
-    """A filter's name for people: `ukf_vmf` is UKF-VMF."""
+    """The label of a filter in figures, e.g. UKF-VMF for `ukf_vmf`."""
     family, _, model = estimator.partition("_")
     augmented = " (aug.)" if model.endswith("_augmented") else ""
     return f"{family.upper()}-{LABELS[model.removesuffix('_augmented')]}{augmented}"
@@ -31,7 +31,9 @@ def counts(frame: pd.DataFrame) -> str:
 
 
 def closest(rows: pd.DataFrame) -> dict[str, Estimate]:
-    """PF-AE-adaptive against the better of the other AE particle filters."""
+    """Excess in percent of PF-AE-adaptive over the better of the other AE particle filters: the
+    larger excess in standard errors.
+    """
     at = {r["estimator"]: r for r in rows.to_dict("records")}
     pf = at["pf_ae_adaptive"]
     against = [

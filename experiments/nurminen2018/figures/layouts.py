@@ -1,4 +1,4 @@
-"""The variants of the layout: all filters, and what adaptivity changes."""
+"""The variants of the layout: all filters, and the effect of adaptivity."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def _title(layout: str) -> str:
 
 
 def layouts_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """The claims on each layout, summed up: for "every filter" the one with the lowest confidence
-    bound counts.
+    """Numbers for the claims on each layout; for a claim on every filter, the number of the filter
+    with the lowest confidence bound.
     """
     found = {}
     for (layout, noise), rows in frame.groupby(["layout", "noise"]):
@@ -69,7 +69,7 @@ def layouts_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def adaptivity(frame: pd.DataFrame) -> Figure:
-    """What AE-adaptive changes in EKF and UKF, against the same filter with AE-nominal and
+    """Mean RMSE of EKF and UKF with AE-adaptive relative to the same filter with AE-nominal and
     AE-fitted.
     """
     figure, axes = new(PAGE, 2.6, cols=len(LAYOUTS), sharey=True, sharex=True)
@@ -88,8 +88,8 @@ def adaptivity(frame: pd.DataFrame) -> Figure:
 
 
 def adaptivity_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Per layout, data model and form: AE-adaptive above the AE model that it helps least (of two,
-    so z = 3.2).
+    """Per layout, data model and form: the excess of AE-adaptive over the AE model on which it
+    improves least; the larger of two, so z = 3.2.
     """
     found = {}
     for (layout, noise, name), rows in frame.groupby(["layout", "noise", "estimator"]):

@@ -46,7 +46,9 @@ def fig1(frame: pd.DataFrame) -> Figure:
 
 
 def fig1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Deviations at the equator, and the growth of the azimuth's towards the pole."""
+    """Deviations at the equator, and the azimuth's deviation at the pole over that at the
+    equator.
+    """
     at = frame.set_index("elevation_deg")
     return {
         "fig1/azimuth_at_equator": Estimate(at.loc[0.0, "azimuth_deg"], 0.0),
@@ -58,7 +60,9 @@ def fig1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def fig2(frame: pd.DataFrame) -> Figure:
-    """Prior mean to posterior means, from above and from the side [Nurminen 2018, Fig. 2]."""
+    """Lines from the prior mean to the posterior means, from above and from the side [Nurminen
+    2018, Fig. 2].
+    """
     figure, axes = new(PAGE, 3.3, cols=2)
     for axis, plane, title in zip(axes, ((0, 1), (0, 2)), ("from above", "from the side")):
         _view(axis, frame, plane)
@@ -91,8 +95,8 @@ def _view(axis: Any, frame: pd.DataFrame, plane: tuple[int, int]) -> None:
 
 
 def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Angles to the measured direction, and how much further off the AE filters are than the VMF
-    ones.
+    """Differences in deg of the angles to the measured direction: VMF filters minus prior, AE
+    filters minus VMF filters.
     """
     angle = frame.set_index(["method", "model"])["angle_to_measurement_deg"]
     found = {}

@@ -1,4 +1,4 @@
-"""Table I and Figure 1: how well each model describes the noise, and the noise's deviations."""
+"""Table I and Figure 1: likelihoods of the models of the noise, and the noise's deviations."""
 
 from __future__ import annotations
 

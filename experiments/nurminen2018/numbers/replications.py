@@ -1,4 +1,4 @@
-"""What filters do on the square track: one lap, and RMSEs over replications."""
+"""The filters on the square track: one lap, and RMSEs over replications."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def layouts(runs: pd.DataFrame) -> pd.DataFrame:
-    """The same over the layout variants."""
+    """The columns of `fig4` for the layout variants."""
     return fig4(runs)
 
 
@@ -116,8 +116,8 @@ def adaptivity(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def particles(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean RMSE of each particle filter against the number of particles, and its paired excess over
-    the largest one.
+    """Mean RMSE of each particle filter for each number of particles, and its paired excess over
+    that with the largest number.
     """
     rows = []
     for (noise, name), group in runs.groupby(["noise", "estimator"], sort=True):

@@ -91,8 +91,8 @@ def exact_mean(h: object, nodes: int) -> np.ndarray:
 
 
 def angle_deg(x: np.ndarray, u: np.ndarray) -> float:
-    """Angle in degrees between position x (3,), seen from the anchor in the origin, and the unit
-    vector u (3,).
+    """Angle in degrees between the direction of position x (3,) from the anchor at the origin and
+    the unit vector u (3,).
     """
     v = x / np.linalg.norm(x)
     return float(np.rad2deg(2 * np.arcsin(min(1.0, 0.5 * np.linalg.norm(v - u)))))
