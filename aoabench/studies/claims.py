@@ -100,7 +100,7 @@ def _decide(
     if ours is None or math.isnan(ours.value):
         return verdict, ""
     if math.isnan(ours.se):
-        return verdict, "too few cases to tell a standard error"
+        return verdict, "too few cases for a standard error"
     reason = entry.get("reason", "") if verdict in (NOT_REPRODUCIBLE, IN_KIND) else ""
     doubt = undecided(printed, rounding, ours, strict=strict, z=z) if printed is not None else ""
     if doubt:

@@ -76,7 +76,8 @@ def test_each_part_that_times_estimators_gives_its_rows(part, monkeypatch):
     for module in (filters, snapshots):
         monkeypatch.setattr(module, "in_turn", once)
     rows = list(PARTS[part](1))
-    assert timed and len(rows) >= 4
+    assert timed
+    assert len(rows) >= 4
     assert all(np.isfinite(row.value) for row in rows)
     expected = FRAME[FRAME["part"] == part]["what"]
     assert {row.what for row in rows} <= set(expected)

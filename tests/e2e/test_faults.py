@@ -48,13 +48,13 @@ def assert_same(out, reference):
         pd.testing.assert_frame_equal(frame, reference[name], check_exact=True, obj=name)
 
 
-def seals(out):
+def checksums(out):
     """The finished parts and when each was finished."""
-    return {seal: seal.stat().st_mtime_ns for seal in out.glob("parts/*/*.json")}
+    return {file: file.stat().st_mtime_ns for file in out.glob("parts/*/*.json")}
 
 
 def assert_kept(before, out):
-    now = seals(out)
+    now = checksums(out)
     assert before.items() <= now.items(), "a finished part was computed again, or lost"
 
 
@@ -94,10 +94,10 @@ def test_killed_at_twenty_random_moments(reference, tmp_path):
     words = [*WORDS, f"runner.out={tmp_path}"]
 
     def enough(some):
-        return len(seals(tmp_path)) >= some
+        return len(checksums(tmp_path)) >= some
 
     for number in range(KILLS + 1):
-        before = seals(tmp_path)
+        before = checksums(tmp_path)
         worker_dies = number % 4 == 1
         jobs = 2 if worker_dies or number == 0 else 1
         command = Command(*words, f"runner.n_jobs={jobs}")
@@ -125,7 +125,7 @@ def test_killed_at_twenty_random_moments(reference, tmp_path):
             status, said = command.finished()
             assert status == 130, said
         assert_kept(before, tmp_path)
-    before = seals(tmp_path)
+    before = checksums(tmp_path)
     assert len(before) < PARTS, "there was something left to do"
     assert Command(*words, "runner.n_jobs=1").finished()[0] == 0
     assert_kept(before, tmp_path)
@@ -166,7 +166,7 @@ def test_a_full_disk(reference, tmp_path):
             "cannot be written any more: No space left on device; finished parts are kept" in said
         )
         assert len(said.strip().splitlines()) == 1
-        before = seals(out)
+        before = checksums(out)
         assert 0 < len(before) < PARTS
         remount(out, "size=30m")
         assert Command(*words, "runner.n_jobs=1").finished()[0] == 0
@@ -201,7 +201,7 @@ def test_a_disk_that_becomes_read_only(reference, tmp_path, monkeypatch):
             match="cannot be written any more: Read-only file system; finished parts are kept",
         ):
             runner.run(cells, progress=False)
-    before = seals(tmp_path)
+    before = checksums(tmp_path)
     assert 0 < len(before) < PARTS
     runner.run(cells, progress=False)
     assert_kept(before, tmp_path)
@@ -262,7 +262,7 @@ def test_a_worker_without_memory(tmp_path, monkeypatch):
         assert "finished parts are kept" in said
         assert len(said.strip().splitlines()) == 1
         (tmp_path / how).unlink()
-    before = seals(tmp_path / "out")
+    before = checksums(tmp_path / "out")
     assert Command(*words, "runner.n_jobs=1", "runner.out=out").finished()[0] == 0
     assert_kept(before, tmp_path / "out")
     assert_same(tmp_path / "out", tables(tmp_path / "undisturbed"))
@@ -306,7 +306,9 @@ def test_an_altered_part_is_found_computed_again_and_reported(file, how, whole, 
     victim.write_bytes(data[:-1] if how == "truncated" else b"" if how == "emptied" else data)
     if how == "deleted":
         victim.unlink()
-    untouched = {seal: t for seal, t in seals(tmp_path).items() if "000000010-" not in seal.name}
+    untouched = {
+        file: t for file, t in checksums(tmp_path).items() if "000000010-" not in file.name
+    }
     capsys.readouterr()
     done = small(tmp_path)
     assert (done.computed, done.reused) == (10, 30)
@@ -330,7 +332,7 @@ def test_a_second_run_says_that_it_waits_and_computes_nothing_twice(reference, t
     """The lock goes with its holder, however that ends."""
     words = [*WORDS, "runner.n_jobs=1", f"runner.out={tmp_path}"]
     first = Command(*words)
-    wait_for(lambda: len(seals(tmp_path)) > 3, first)
+    wait_for(lambda: len(checksums(tmp_path)) > 3, first)
     os.kill(first.pid, signal.SIGSTOP)  # so that it does not end before the second one has begun
     second = Command(*words)
     try:
@@ -340,7 +342,7 @@ def test_a_second_run_says_that_it_waits_and_computes_nothing_twice(reference, t
     assert line.startswith(f"aoabench: another run (process {first.pid} on ")
     assert f"is writing into {tmp_path}: waiting until it has ended" in line
     first.finished()
-    before = seals(tmp_path)
+    before = checksums(tmp_path)
     assert 3 < len(before) < PARTS
     assert second.finished()[0] == 0
     assert_kept(before, tmp_path)
