@@ -24,6 +24,47 @@ class Outcome(IntEnum):
     FAILED = 4  # no position: NaN
 
 
+class Reason(IntEnum):
+    """Why the outcome of a fix is not OK; SENTENCES has a sentence for each."""
+
+    NONE = 0
+    NO_MEASUREMENT = 1
+    TOO_FEW_ANCHORS = 2
+    ONE_PLACE = 3
+    UNDETERMINED = 4
+    BEHIND = 5
+    TOO_FAR = 6
+    NO_CONVERGENCE = 7
+    NO_DESCENT = 8
+    NO_AGREEMENT = 9
+    INNOVATIONS = 10
+    COVARIANCE = 11
+    NO_LIKELIHOOD = 12
+    NOT_A_NUMBER = 13
+    EXCEPTION = 14
+    NOT_STATED = 15
+
+
+SENTENCES = {
+    Reason.NONE: "",
+    Reason.NO_MEASUREMENT: "no anchor measured anything that the method uses",
+    Reason.TOO_FEW_ANCHORS: "fewer anchors measured than the method needs",
+    Reason.ONE_PLACE: "all anchors that measured stand in one place",
+    Reason.UNDETERMINED: "the measurements do not determine a position",
+    Reason.BEHIND: "the position lies behind an anchor that it uses",
+    Reason.TOO_FAR: "the position left its bounds around the anchors",
+    Reason.NO_CONVERGENCE: "the iteration reached its limit of steps",
+    Reason.NO_DESCENT: "the iteration met a singular or indefinite normal matrix",
+    Reason.NO_AGREEMENT: "fewer than two anchors agree",
+    Reason.INNOVATIONS: "normalised innovations exceeded their bound for several steps",
+    Reason.COVARIANCE: "the covariance is zero or not positive definite",
+    Reason.NO_LIKELIHOOD: "the likelihood is zero at every particle",
+    Reason.NOT_A_NUMBER: "the estimator returned NaN",
+    Reason.EXCEPTION: "the estimator raised an exception",
+    Reason.NOT_STATED: "the estimator states no reason",
+}
+
+
 @dataclass(frozen=True)
 class Anchors:
     """Positions and orientations of B anchors, the same or different in each replication and step.
@@ -167,7 +208,8 @@ class Estimates:
     position (R, T, 3) m, with z NaN for a method in the plane; covariance (R, T, 3, 3) m^2 or None;
     iterations (R, T) or None; outcome (R, T) of Outcome. score (R, T): disagreement of the
     measurements of a fix in the method's own unit, larger is worse, NaN = unknown; anchors_used
-    (R, T): number of anchors that the fix uses.
+    (R, T): number of anchors that the fix uses. reason (R, T) of Reason: why a fix is not OK; None
+    is NOT_STATED wherever the outcome is not OK.
     """
 
     position: Array
@@ -176,3 +218,4 @@ class Estimates:
     outcome: np.ndarray
     score: Array | None = None
     anchors_used: Array | None = None
+    reason: np.ndarray | None = None
