@@ -7,18 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from aoabench.errors import BadValue, Unfit, check_number
 from aoabench.estimators.parameters import clip_param, height_param, horizon_param
-from aoabench.estimators.plane import (
-    clipped,
-    directions,
-    in_plane,
-    on_plane,
-    plane_of,
-)
+from aoabench.estimators.plane import clipped, in_plane, on_plane, plane_of, ray_covariances
+from aoabench.estimators.rays import Rays, angular_variance, rays
 from aoabench.maths.geometry import Array
 from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Noise, Scenario
@@ -26,6 +22,21 @@ from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates
 
 DIFFERENT = "a list of different anchor numbers >= 1, or null for all anchors"
+
+
+class Points(NamedTuple):
+    """Points where the rays of single anchors meet the plane z = height m.
+
+    xy (R, T, B, 2) m, NaN where the anchor did not measure; covariance (R, T, B, 2, 2) m^2 from the
+    stated deviations, None if there are none; the rays, and the anchors' positions
+    (R|1, T|1, B, 3) m.
+    """
+
+    xy: Array
+    covariance: Array | None
+    rays: Rays
+    anchors: Array
+    height: float
 
 
 @dataclass(frozen=True)
@@ -46,14 +57,17 @@ class _OnPlane(Estimator):
         super().check(scenario, noise)
         plane_of(self.height_m, scenario)
 
-    def each(self, batch: Batch, scenario: Scenario) -> Array:
-        """Position (R, T, B, 2) m from each anchor alone; NaN where the anchor did not measure."""
-        height = plane_of(self.height_m, scenario)
-        return clipped(
-            on_plane(directions(batch), batch.anchors, height, np.deg2rad(self.horizon_deg)),
-            scenario,
-            self.clip,
-        )
+    def each(self, batch: Batch, scenario: Scenario) -> Points:
+        """The points that each anchor alone gives."""
+        height, r = plane_of(self.height_m, scenario), rays(batch)
+        r = r.of(r.line)
+        ahead = np.where(r.line[..., None], r.ahead, np.nan)
+        met = on_plane(ahead, batch.anchors, height, np.deg2rad(self.horizon_deg))
+        variance = angular_variance(batch, r)
+        spread = None
+        if variance is not None:
+            spread = ray_covariances(met, batch.anchors, height, variance)
+        return Points(clipped(met, scenario, self.clip), spread, r, batch.anchors.position, height)
 
 
 @dataclass(frozen=True)
@@ -92,8 +106,9 @@ class BestAnchor(_OnPlane):
     ) -> Estimates:
         """Positions (R, T, 3) m, given the true states `truth` (R, T, n)."""
         assert truth is not None
-        xy = self.each(batch, scenario)
-        return _selected(xy, -np.hypot(*np.moveaxis(xy - truth[:, :, None, :2], -1, 0)))
+        found = self.each(batch, scenario)
+        away = found.xy - truth[:, :, None, :2]
+        return _selected(found, -np.hypot(*np.moveaxis(away, -1, 0)))
 
 
 @dataclass(frozen=True)
@@ -110,17 +125,22 @@ class RssiAnchor(_OnPlane):
         return _selected(self.each(batch, scenario), batch.rssi)
 
 
-def _selected(xy: Array, merit: np.ndarray) -> Estimates:
-    """Estimates from the positions (R, T, B, 2) m with the largest merit (R|1, T|1, B).
+def _selected(found: Points, merit: np.ndarray) -> Estimates:
+    """Estimates from the points with the largest merit (R|1, T|1, B).
 
     An anchor without a position, or with a merit of NaN or False, is not chosen.
     """
+    xy = found.xy
     given = merit if merit.dtype == bool else np.isfinite(merit)
     merit = np.where(given & np.isfinite(xy[..., 0]), merit, -np.inf)
     best = merit.argmax(axis=-1)[..., None, None]
-    found: np.ndarray = np.asarray(np.isfinite(merit).any(axis=-1))
-    chosen = np.take_along_axis(xy, best, axis=2)[:, :, 0]
-    return in_plane(np.where(found[..., None], chosen, np.nan), None, found.astype(float))
+    known: np.ndarray = np.asarray(np.isfinite(merit).any(axis=-1))
+    chosen = np.where(known[..., None], np.take_along_axis(xy, best, axis=2)[:, :, 0], np.nan)
+    P = found.covariance
+    if P is not None:
+        P = np.take_along_axis(P, best[..., None], axis=2)[:, :, 0]
+    one = (np.arange(xy.shape[2]) == best[..., 0]) & known[..., None]
+    return in_plane(chosen, P, None, found.rays.of(one), found.anchors, found.height)
 
 
 @dataclass(frozen=True)
@@ -129,7 +149,8 @@ class AnchorMean(_OnPlane):
 
     Each position is moved into the bounds first, because the intersection of the plane with a ray
     near the horizon has an infinite variance. The score is the root mean square distance in m of
-    the positions from their mean.
+    the positions from their mean. The covariance follows from the stated deviations, or else from
+    the positions' spread about their mean (NaN for one anchor).
     """
 
     anchors: Sequence[int] | None = param(
@@ -148,13 +169,20 @@ class AnchorMean(_OnPlane):
             check_number("anchors", number, most=scenario.true_anchors.count)
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        xy = self.each(batch, scenario)
+        found = self.each(batch, scenario)
+        xy = found.xy
         known = np.isfinite(xy[..., 0])
         if self.anchors is not None:
             known &= np.isin(batch.numbers, np.array(self.anchors) - 1)
         n = known.sum(axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.where(known[..., None], xy, 0.0).sum(axis=2) / n[..., None]
-            spread = np.where(known[..., None], xy - mean[:, :, None], 0.0)
-            score = np.sqrt((spread**2).sum(axis=(2, 3)) / n)
-        return in_plane(mean, np.where(n > 1, score, np.nan), n.astype(float))
+            apart = np.where(known[..., None], xy - mean[:, :, None], 0.0)
+            score = np.where(n > 1, np.sqrt((apart**2).sum(axis=(2, 3)) / n), np.nan)
+            if found.covariance is None:
+                P = np.swapaxes(apart, -1, -2) @ apart / (n * (n - 1))[..., None, None]
+                P = np.where((n > 1)[..., None, None], P, np.nan)
+            else:
+                P = np.where(known[..., None, None], found.covariance, 0.0).sum(axis=2)
+                P = P / (n**2)[..., None, None]
+        return in_plane(mean, P, score, found.rays.of(known), found.anchors, found.height)

@@ -12,16 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from aoabench.errors import Unfit
-from aoabench.maths.geometry import LIGHT, to_unit
+from aoabench.estimators.rays import judged, measured_reason
+from aoabench.maths.geometry import LIGHT, Array, to_unit
 from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Scenario
 from aoabench.streams import Streams
-from aoabench.types import Batch, Estimates, Outcome
+from aoabench.types import Batch, Estimates
 
 
 @dataclass(frozen=True)
 class WeightedCentroid(Estimator):
-    """The mean of the ANs' positions, weighted by the inverse variances of their times."""
+    """The mean of the ANs' positions of the target, weighted by the inverse variances of the times.
+
+    The covariance follows from the stated deviations of times, angles and ANs' positions; None if
+    the measurements do not state them. A fix behind an AN that it uses is DIVERGED.
+    """
 
     as_printed: bool = param(
         False,
@@ -47,19 +52,52 @@ class WeightedCentroid(Estimator):
             np.broadcast_to(a, (R, T, *a.shape[2:]))[r, k, b]
             for a in (batch.anchors.position, batch.anchors.rotation)
         )
-        if (
-            self.as_printed
-        ):  # the orientation is applied twice: to the azimuth and to the unit vector
+        if self.as_printed:  # the orientation is applied to the azimuth and to the unit vector
             azimuth = azimuth + np.arctan2(rotation[:, 0, 1], rotation[:, 0, 0])
-        local = LIGHT * batch.delay[r, k, b, None] * to_unit(azimuth, batch.elevation[r, k, b])
-        p = s + (local[:, None, :] @ rotation)[:, 0]
+        elevation = batch.elevation[r, k, b]
+        distance = LIGHT * batch.delay[r, k, b]
+        local = distance[:, None] * to_unit(azimuth, elevation)
+        along = (local[:, None, :] @ rotation)[:, 0]
         w = 1.0 / np.square(batch.delay_sigma[r, k, b])
         fix = r * T + k
-        total = np.bincount(fix, w, R * T)
-        sums = np.stack([np.bincount(fix, w * p[:, i], R * T) for i in range(3)], axis=-1)
+        total = np.asarray(np.bincount(fix, w, R * T), dtype=float)
+        sums = [np.bincount(fix, w * x, R * T) for x in (s + along).T]
         with np.errstate(invalid="ignore"):
-            position = (sums / total[:, None]).reshape(R, T, 3)
-        outcome = np.where(np.isfinite(position).all(-1), Outcome.OK, Outcome.FAILED).astype(
-            np.int8
-        )
-        return Estimates(position, None, None, outcome)
+            position = np.stack(sums, axis=-1) / total[:, None]
+        back = np.bincount(fix, (along * (position[fix] - s)).sum(axis=-1) < 0, R * T) > 0
+        found: np.ndarray = np.asarray(np.isfinite(position).all(-1)).reshape(R, T)
+        outcome, reason = judged(found, back.reshape(R, T), measured_reason(usable, 1))
+        P = None
+        if batch.azimuth_sigma is not None and batch.elevation_sigma is not None:
+            sigmas = batch.delay_sigma, batch.azimuth_sigma, batch.elevation_sigma
+            C = _spherical((distance, azimuth, elevation), tuple(x[r, k, b] for x in sigmas))
+            C = np.swapaxes(rotation, -1, -2) @ C @ rotation
+            if batch.anchors.position_sigma is not None:
+                own = np.broadcast_to(batch.anchors.position_sigma, (R, T, B, 3))[r, k, b]
+                C[:, range(3), range(3)] += own**2
+            P = _weighted(C, w, fix, total).reshape(R, T, 3, 3)
+        used, position = usable.sum(-1).astype(float), position.reshape(R, T, 3)
+        return Estimates(position, P, None, outcome, None, used, reason)
+
+
+def _spherical(at: tuple[Array, ...], sigmas: tuple[Array, ...]) -> Array:
+    """Covariances (N, 3, 3) m^2 of points at distance m, azimuth and elevation rad (N,), from
+    independent deviations of delay s, azimuth and elevation rad.
+    """
+    r, (ca, sa, ce, se) = at[0], (f(angle) for angle in at[1:] for f in (np.cos, np.sin))
+    axes = [(ce * ca, ce * sa, se), (-sa, ca, np.zeros_like(ca)), (-se * ca, -se * sa, ce)]
+    scale = LIGHT * sigmas[0], sigmas[1] * r * ce, sigmas[2] * r
+    J = np.stack([s[:, None] * np.stack(u, axis=-1) for s, u in zip(scale, axes)], axis=-1)
+    return np.asarray(J @ np.swapaxes(J, -1, -2))
+
+
+def _weighted(C: Array, w: Array, fix: np.ndarray, total: Array) -> Array:
+    """Covariances (F, 3, 3) m^2 of weighted means from those (N, 3, 3) of the points, their weights
+    and numbers of fixes (N,), and the fixes' sums of weights (F,).
+    """
+    found = np.empty((len(total), 3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            found[:, i, j] = found[:, j, i] = np.bincount(fix, w**2 * C[:, i, j], len(total))
+    with np.errstate(invalid="ignore"):
+        return found / (total**2)[:, None, None]

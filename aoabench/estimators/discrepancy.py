@@ -26,7 +26,7 @@ from aoabench.maths.geometry import Array, to_unit
 from aoabench.params import param
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates, Outcome
+from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
     from aoabench.kernels import discrepancy  # noqa: F401
@@ -36,6 +36,7 @@ CENTRES = ("midpoint", "estimate")
 INTERSECTIONS = ("boxes", "exact")
 TIES = ("area", "first")
 MOST = 62  # anchors; the kernel stores a set as the bits of an integer
+REASONS = {Outcome.FAILED: Reason.NO_MEASUREMENT, Outcome.REJECTED: Reason.NO_AGREEMENT}
 LEAST_AXIS = 1e-6  # m; so that an ellipse has an interior
 EVEN = 1e-9  # ratios (19) that differ by less are taken as equal
 
@@ -124,7 +125,8 @@ class Discrepancy(Compiled, Estimator):
                 self.by_kernel(compiled, *given, *into)
         position, covariance, outcome, used = found
         position[..., :2] = clipped(position[..., :2], scenario, self.clip)
-        return Estimates(position, covariance, None, outcome, None, used)
+        reason = np.array([REASONS.get(o, Reason.NONE) for o in Outcome], dtype=np.int8)[outcome]
+        return Estimates(position, covariance, None, outcome, None, used, reason)
 
     @property
     def deviations(self) -> tuple[float, float]:

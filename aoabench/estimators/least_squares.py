@@ -13,22 +13,32 @@ changes the estimate (L6).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from aoabench.estimators.rays import (
+    FAR,
+    apart,
+    behind,
+    extent,
+    judged,
+    measured_reason,
+    rays,
+    residual_variance,
+)
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
+from aoabench.maths.linalg import inverse, solve
 from aoabench.params import param
 from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
-from aoabench.types import Batch, Estimates, Outcome
+from aoabench.types import Batch, Estimates
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
     from aoabench.kernels import snapshot  # noqa: F401
-from aoabench.maths.linalg import SINGULAR, solve
 
 KERNELS = "kernels.snapshot"
 
@@ -38,8 +48,8 @@ ROWS = ("printed", "invariant")
 
 def rows_param() -> Any:
     """The parameter that chooses the elevation's equations."""
-    help = "the elevation's equations: as printed, or invariant to turns about the vertical"
-    return param("printed", help, choices=ROWS)
+    help = "the elevation's equations: invariant to turns about the vertical, or as printed"
+    return param("invariant", help, choices=ROWS)
 
 
 @dataclass(frozen=True)
@@ -56,45 +66,48 @@ class LeastSquares(Compiled, Estimator):
         return frozenset({"several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """One position per fix; outcome FAILED if the equations do not determine a position."""
+        """One position per fix; outcome FAILED if the equations do not determine a position,
+        DIVERGED behind an anchor.
+
+        The covariance follows from the stated variances of the angles, or from one variance that
+        the residuals give.
+        """
         compiled = self.compiled(batch.anchors)
         if compiled is None:
-            position = planes(batch, self.rows)
-        else:
-            position, _, _ = by_kernel(compiled, batch, self.rows)
-        outcome = np.where(np.isfinite(position).all(-1), Outcome.OK, Outcome.FAILED).astype(
-            np.int8
-        )
-        return Estimates(position, None, None, outcome)
+            return planes(batch, self.rows)
+        return by_kernel(compiled, batch, self.rows)
 
 
 def by_kernel(
     compiled: ModuleType,
     batch: Batch,
     rows: str,
-    azimuth: int = 0,
-    printed: int = 0,
+    variant: tuple[int, int] = (0, 0),
     tolerance: float = 0.0,
     updates: int = 0,
-) -> tuple[Array, np.ndarray, np.ndarray]:
-    """Positions (R, T, 3) m, outcomes and numbers of updates (R, T); least squares alone if
-    `updates` is 0.
+) -> Estimates:
+    """Estimates of one tile; least squares alone if `updates` is 0. `variant`: the definition of an
+    azimuth's difference, and the erratum as printed.
     """
     R, T, B = batch.azimuth.shape
-    x, outcome, count = np.empty((R, T, 3)), np.empty((R, T), dtype=np.int8), np.empty((R, T))
+    x, P = np.empty((R, T, 3)), np.empty((R, T, 3, 3))
+    outcome, reason = np.empty((2, R, T), dtype=np.int8)
+    count, used = np.empty((2, R, T))
     phi, theta, wa, we = (padded(a, compiled.LANES) for a in measured(batch))
-    options = (azimuth, printed, ROWS.index(rows), tolerance, updates)
+    options = (*variant, ROWS.index(rows), stated(batch), tolerance, updates)
     position, rotation = batch.anchors.frames
     centre = position.mean(axis=1, keepdims=True)  # (R|1, 1, 3)
+    far = FAR * extent(batch.anchors.position)[:, 0]
     # padded with the last anchor: an anchor of zeros would have angles of NaN
     s = padded(np.swapaxes(position - centre, 1, 2), compiled.LANES, "edge")
     rotation = padded(np.moveaxis(rotation, 1, -1), compiled.LANES, "edge")
     for i in range(R):
         j, k = min(i, len(s) - 1), min(i, len(rotation) - 1)
-        compiled.gauss_newton(
-            *options, phi[i], theta[i], wa[i], we[i], s[j], rotation[k], x[i], outcome[i], count[i]
-        )
-    return x + centre, outcome, count
+        given = phi[i], theta[i], wa[i], we[i], s[j], rotation[k]
+        into = x[i], P[i], outcome[i], reason[i], count[i], used[i]
+        compiled.gauss_newton(*options, far[j], *given, *into)
+    iterations = count if updates else None
+    return Estimates(x + centre, P, iterations, outcome, None, used, reason)
 
 
 def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
@@ -105,11 +118,17 @@ def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
         (batch.azimuth, batch.azimuth_sigma),
         (batch.elevation, batch.elevation_sigma),
     ):
-        w = np.ones_like(y) if sigma is None else 1.0 / np.square(sigma)
+        with np.errstate(divide="ignore"):
+            w = np.ones_like(y) if sigma is None else 1.0 / np.square(sigma)
         known = np.isfinite(y) & np.isfinite(w) & (w > 0)
         angles.append(np.where(known, y, 0.0))
         weights.append(np.where(known, w, 0.0))
     return angles[0], angles[1], weights[0], weights[1]
+
+
+def stated(batch: Batch) -> bool:
+    """Whether the measurements state the deviations of both angles."""
+    return batch.azimuth_sigma is not None and batch.elevation_sigma is not None
 
 
 def padded(a: Array, lanes: int, by: Literal["constant", "edge"] = "constant") -> Array:
@@ -122,28 +141,76 @@ def padded(a: Array, lanes: int, by: Literal["constant", "edge"] = "constant") -
     )
 
 
-def planes(batch: Batch, rows: str = "printed") -> Array:
-    """Least-squares positions (R, T, 3) m; angles that are not measured give no row.
+def planes(batch: Batch, rows: str = "invariant") -> Estimates:
+    """The least-squares estimates in NumPy; angles that are not measured give no row.
 
-    NaN if A^T A is singular, and if all anchors that measured are at one place, because their
+    FAILED if A^T A is singular, and if all anchors that measured are at one place, because their
     planes meet at this place for all measurements.
     """
-    phi, theta = batch.azimuth, batch.elevation
-    zero = np.zeros_like(phi)
-    s, c = np.sin(phi), np.cos(phi)
+    phi, theta, wa, we = measured(batch)
+    used = wa > 0
+    a = _rows(phi, theta, wa, we, rows) @ batch.anchors.rotation  # (R, T, B, 2, 3)
+    s = batch.anchors.position
+    centre = s.mean(axis=2, keepdims=True)
+    b = (a @ (s - centre)[..., None])[..., 0]  # (R, T, B, 2)
+    A, g = np.einsum("rtbki,rtbkj->rtij", a, a), np.einsum("rtbki,rtbk->rti", a, b)
+    distinct = apart(s, used)
+    p = np.where(distinct[..., None], solve(A, g) + centre[:, :, 0], np.nan)
+    found: np.ndarray = np.asarray(np.isfinite(p).all(axis=-1))
+    outcome, reason = judged(
+        found, behind(rays(usable(batch, wa, we)).ahead, s, p), measured_reason(used, 2, ~distinct)
+    )
+    P = _covariance(batch, (phi, theta, wa, we), a, A, p, rows)
+    P = np.where(found[..., None, None], P, np.nan)
+    return Estimates(p, P, None, outcome, None, used.sum(axis=-1).astype(float), reason)
+
+
+def usable(batch: Batch, wa: Array, we: Array) -> Batch:
+    """The batch without the angles that have no weight."""
+    azimuth = np.where(wa > 0, batch.azimuth, np.nan)
+    return replace(batch, azimuth=azimuth, elevation=np.where(we > 0, batch.elevation, np.nan))
+
+
+def _rows(phi: Array, theta: Array, wa: Array, we: Array, rows: str) -> Array:
+    """The equations' coefficients (R, T, B, 2, 3) in the anchors' frames; 0 if not measured."""
+    zero, s, c = np.zeros_like(phi), np.sin(phi), np.cos(phi)
     first = np.stack([s, -c, zero], axis=-1)
     if rows == "printed":
         second = np.stack([np.tan(theta), zero, -c], axis=-1)
     else:
         second = np.stack([np.sin(theta) * c, np.sin(theta) * s, -np.cos(theta)], axis=-1)
-    a = np.stack([first, second], axis=-2)  # (R, T, B, 2, 3)
-    missing = ~np.isfinite(a).all(axis=-1, keepdims=True)
-    a = np.where(missing, 0.0, a) @ batch.anchors.rotation
-    centre = batch.anchors.position.mean(axis=2, keepdims=True)
-    b = (a @ (batch.anchors.position - centre)[..., None])[..., 0]  # (R, T, B, 2)
-    A, g = np.einsum("rtbki,rtbkj->rtij", a, a), np.einsum("rtbki,rtbk->rti", a, b)
-    used = ~missing[..., 0, 0] | ~missing[..., 1, 0]
-    s = np.where(used[..., None], batch.anchors.position - centre, 0.0)  # (R, T, B, 3)
-    n, m2 = used.sum(axis=-1), (s**2).sum(axis=(-1, -2))
-    apart = n * m2 - (s.sum(axis=-2) ** 2).sum(axis=-1)
-    return np.where((apart > SINGULAR * n * m2)[..., None], solve(A, g) + centre[:, :, 0], np.nan)
+    known = np.stack([wa > 0, wa * we > 0], axis=-1)
+    return np.where(known[..., None], np.stack([first, second], axis=-2), 0.0)
+
+
+def _covariance(
+    batch: Batch, given: tuple[Array, ...], a: Array, A: Array, p: Array, rows: str
+) -> Array:
+    """Covariances (R, T, 3, 3) m^2 of the positions p, A^-1 M A^-1.
+
+    e = a (p - s) are the residuals of the rows a; M sums b b^T var over the angles, with b the
+    derivative of e by the angle times its row a.
+    """
+    phi, theta, wa, we = given
+    offset = p[:, :, None] - batch.anchors.position
+    u, v, w = np.moveaxis((batch.anchors.rotation @ offset[..., None])[..., 0], -1, 0)
+    s, c, st, ct = np.sin(phi), np.cos(phi), np.sin(theta), np.cos(theta)
+    f = c * u + s * v
+    if rows == "printed":
+        h, k = s * w, u / ct**2
+    else:
+        h, k = st * (c * v - s * u), ct * f + st * w
+    one, two = wa > 0, wa * we > 0
+    e = (a @ offset[..., None])[..., 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        va, ve = np.where(one, 1.0 / wa, 0.0), np.where(two, 1.0 / we, 0.0)
+        squares = np.where(one, (e[..., 0] / f) ** 2, 0.0) + np.where(two, (e[..., 1] / k) ** 2, 0)
+    by_azimuth = f[..., None] * a[..., 0, :] + h[..., None] * a[..., 1, :]
+    by_elevation = k[..., None] * a[..., 1, :]
+    M = np.einsum("rtb,rtbi,rtbj->rtij", va, by_azimuth, by_azimuth)
+    M += np.einsum("rtb,rtbi,rtbj->rtij", ve, by_elevation, by_elevation)
+    P = inverse(A) @ M @ inverse(A)
+    if stated(batch):
+        return np.asarray(P)
+    angles = one.sum(axis=-1) + (we > 0).sum(axis=-1)
+    return np.asarray(P * residual_variance(squares.sum(axis=-1), angles - 3)[..., None, None])

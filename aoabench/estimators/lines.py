@@ -14,54 +14,101 @@ dimensions.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from aoabench.estimators.parameters import clip_param
-from aoabench.estimators.plane import clipped, directions
+from aoabench.estimators.plane import clipped
+from aoabench.estimators.rays import (
+    Rays,
+    angular_variance,
+    apart,
+    behind,
+    judged,
+    measured_reason,
+    rays,
+    residual_variance,
+)
 from aoabench.maths.geometry import Array
-from aoabench.maths.linalg import solve
+from aoabench.maths.linalg import inverse, solve
 from aoabench.params import param
 from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
-from aoabench.types import Batch, Estimates, Outcome
+from aoabench.types import Batch, Estimates
 
 
-def projectors(batch: Batch) -> tuple[Array, np.ndarray]:
-    """Projectors (R, T, B, 3, 3): I - u u^T, n n^T for an azimuth alone, or 0; and the mask
-    (R, T, B) of the measured azimuths.
+class Nearest(NamedTuple):
+    """Points nearest to the rays of each fix.
+
+    position (R, T, 3) m, NaN if the rays do not determine a point, z alone NaN if only z is not
+    determined; normal (R, T, 3, 3): A = sum_i P_i; level (R, T): whether z is not determined.
     """
-    u = directions(batch)
-    whole: np.ndarray = np.asarray(np.isfinite(u).all(axis=-1))
-    phi = np.where(np.isfinite(batch.azimuth), batch.azimuth, 0.0)
-    n = np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=-1)
-    n = (n[..., None, :] @ batch.anchors.rotation)[..., 0, :]
-    u = np.where(whole[..., None], u, 0.0)
-    line, plane = np.eye(3) - u[..., :, None] * u[..., None, :], n[..., :, None] * n[..., None, :]
-    measured = np.isfinite(batch.azimuth)
-    return np.where(
-        measured[..., None, None], np.where(whole[..., None, None], line, plane), 0.0
-    ), measured
+
+    position: Array
+    normal: Array
+    level: np.ndarray
 
 
-def nearest_point(P: Array, s: Array) -> Array:
-    """The point (R, T, 3) m nearest to lines or planes with projectors P (R, T, B, 3, 3) through s
-    (R|1, T|1, B, 3) m.
+def nearest_point(r: Rays, s: Array) -> Nearest:
+    """The points nearest to the rays from the anchors s (R|1, T|1, B, 3) m.
 
-    NaN if the lines and planes do not determine a point; z alone is NaN if only z is undetermined.
+    A line's projector is I - u u^T, and a plane's n n^T.
     """
-    A, g = P.sum(axis=2), (P @ s[..., None])[..., 0].sum(axis=2)
-    level = A[..., 2, 2] <= 1e-12 * (A[..., 0, 0] + A[..., 1, 1])
+    centre = s.mean(axis=2, keepdims=True)
+    s = s - centre
+    v = np.where(r.plane[..., None], r.normal, r.ahead)
+    sign = r.plane.astype(float) - r.line
+    A = np.swapaxes(sign[..., None] * v, -1, -2) @ v
+    A[..., range(3), range(3)] += r.line.sum(axis=-1)[..., None]
+    along = sign * (v * s).sum(axis=-1)
+    g = (r.line[..., None] * s + along[..., None] * v).sum(axis=2)
+    level = ~r.line.any(axis=-1) & (A[..., 2, 2] <= 1e-12 * (A[..., 0, 0] + A[..., 1, 1]))
     A[..., 2, 2] += level
-    p = solve(A, g)
+    p = solve(A, g) + centre[:, :, 0]
     p[..., 2] = np.where(level, np.nan, p[..., 2])
-    return p
+    return Nearest(p, A, level)
 
 
-def distances(P: Array, s: Array, p: Array) -> Array:
-    """Distances (R, T, B) m of points (R, T, 3) m from the lines or planes."""
-    d = np.where(np.isnan(p), 0.0, p)[:, :, None] - s
-    return np.sqrt((((P @ d[..., None])[..., 0]) ** 2).sum(axis=-1))
+def distances(r: Rays, s: Array, p: Array) -> Array:
+    """Distances (R, T, B) m of points (R, T, 3) m from the lines or planes; 0 if not measured."""
+    x, y, z = np.moveaxis(np.where(np.isnan(p), 0.0, p)[:, :, None] - s, -1, 0)
+    a, b, c = np.moveaxis(r.ahead, -1, 0)
+    across = np.sqrt((b * z - c * y) ** 2 + (c * x - a * z) ** 2 + (a * y - b * x) ** 2)
+    if not r.plane.any():
+        return across
+    n = r.normal
+    return np.where(r.plane, np.abs(n[..., 0] * x + n[..., 1] * y + n[..., 2] * z), across)
+
+
+def covariances(batch: Batch, r: Rays, found: Nearest, d: Array) -> Array:
+    """Covariances (R, T, 3, 3) m^2 of the nearest points, A^-1 (sum_i sigma_i^2 r_i^2 P_i) A^-1.
+
+    A line's point is displaced by sigma_i r_i across the line, at the distance r_i from the anchor;
+    a plane's by sigma_i times the distance from the anchor's axis. sigma_i are the stated
+    deviations, or one deviation from the residuals d (R, T, B) m. NaN where z is not determined or
+    the residuals have no degree of freedom.
+    """
+    s = batch.anchors.position
+    away = np.where(np.isnan(found.position), 0.0, found.position)[:, :, None] - s
+    squared = (away**2).sum(axis=-1)
+    if r.plane.any():
+        axis = batch.anchors.rotation[..., 2, :]
+        squared = np.where(r.plane, squared - (axis * away).sum(axis=-1) ** 2, squared)
+    variance = angular_variance(batch, r)
+    if variance is None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            squares = np.where(r.used & (squared > 0), d**2 / squared, 0.0).sum(axis=-1)
+        freedom = 2 * r.line.sum(axis=-1) + r.plane.sum(axis=-1) - 3 + found.level
+        variance = residual_variance(squares, freedom)[..., None]
+    weight = np.where(r.used, variance * squared, 0.0)
+    v = np.where(r.plane[..., None], r.normal, r.ahead)
+    M = np.swapaxes((weight * (r.plane.astype(float) - r.line))[..., None] * v, -1, -2) @ v
+    M[..., range(3), range(3)] += (weight * r.line).sum(axis=-1)[..., None]
+    inner = inverse(found.normal)
+    P = inner @ M @ inner
+    P[found.level, 2, :] = P[found.level, :, 2] = np.nan
+    return P
 
 
 @dataclass(frozen=True)
@@ -79,12 +126,10 @@ class LineLeastSquares(Estimator):
         return frozenset({"several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """One position per fix; outcome FAILED if fewer than two anchors measured or all lines are
-        parallel.
+        """One position per fix; outcome FAILED if fewer than two anchors measured, if all of them
+        stand in one place or if all lines are parallel; DIVERGED behind an anchor.
         """
-        P, measured = projectors(batch)
-        p = nearest_point(P, batch.anchors.position)
-        return _estimates(p, distances(P, batch.anchors.position, p), measured, scenario, self.clip)
+        return _estimates(batch, rays(batch), scenario, self.clip)
 
 
 @dataclass(frozen=True)
@@ -106,35 +151,33 @@ class AnchorDiscarding(Estimator):
         return frozenset({"several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        P, used = projectors(batch)
-        s = batch.anchors.position
-        p = nearest_point(P, s)
+        r, s = rays(batch), batch.anchors.position
+        used = r.used
         for _ in range(used.shape[-1] - 2):
-            d = np.where(used, distances(P, s, p), 0.0)
+            d = distances(r, s, nearest_point(r, s).position)
             n = used.sum(axis=-1)
             bad = (n > 2) & ((d**2).sum(axis=-1) > n * self.threshold_m**2)
             if not bad.any():
                 break
             worst = np.arange(used.shape[-1]) == d.argmax(axis=-1)[..., None]
             used &= ~(worst & bad[..., None])
-            P = np.where(used[..., None, None], P, 0.0)
-            p = np.where(bad[..., None], nearest_point(P, s), p)
-        return _estimates(p, distances(P, s, p), used, scenario, self.clip)
+            r = r.of(used)
+        return _estimates(batch, r, scenario, self.clip)
 
 
-def _estimates(p: Array, d: Array, used: np.ndarray, scenario: Scenario, clip: bool) -> Estimates:
-    found = np.isfinite(p[..., :2]).all(axis=-1)
-    n = used.sum(axis=-1)
+def _estimates(batch: Batch, r: Rays, scenario: Scenario, clip: bool) -> Estimates:
+    """Estimates from the rays that are used."""
+    s, n = batch.anchors.position, r.used.sum(axis=-1)
+    found = nearest_point(r, s)
+    level = found.level[..., None, None] & (np.arange(s.shape[-1]) == 2)  # heights do not matter
+    distinct = apart(np.where(level, 0.0, s), r.used)
+    p = np.where((distinct & (n > 1))[..., None], found.position, np.nan)
+    solved: np.ndarray = np.asarray(np.isfinite(p[..., :2]).all(axis=-1))
+    d = distances(r, s, p)
     with np.errstate(invalid="ignore", divide="ignore"):
-        score = np.where(
-            found & (n > 1), np.sqrt(np.where(used, d**2, 0.0).sum(axis=-1) / n), np.nan
-        )
+        score = np.where(solved, np.sqrt((d**2).sum(axis=-1) / n), np.nan)
+    P = np.where(solved[..., None, None], covariances(batch, r, found, d), np.nan)
     position = np.concatenate([clipped(p[..., :2], scenario, clip), p[..., 2:]], axis=-1)
-    return Estimates(
-        position,
-        None,
-        None,
-        np.where(found, Outcome.OK, Outcome.FAILED).astype(np.int8),
-        score,
-        n.astype(float),
-    )
+    failed = measured_reason(r.used, 2, ~distinct)
+    outcome, reason = judged(solved, behind(r.ahead, s, position), failed)
+    return Estimates(position, P, None, outcome, score, n.astype(float), reason)

@@ -10,27 +10,47 @@ definitions of the azimuth's difference:
     atan2    both in [0, 2 pi), no correction                                               (c)
     kcorr    both in [0, 2 pi), and 2 pi k added to f, k = sign(y - f) where |y - f| >= pi  (d)
 
-A fix diverges if |x| exceeds 1e9 m or becomes NaN, or if the normal matrix is not positive
-definite. A fix oscillates if it has not converged after `updates` steps. Both return the start, as
-in the paper. The number of updates is `iterations`.
+A fix diverges if its distance from the anchors' centre exceeds FAR times their extent or becomes
+NaN, or if the normal matrix is not positive definite. A fix oscillates if it has not converged
+after `updates` steps. Both return the start, as in the paper. A fix that has converged behind an
+anchor is DIVERGED too, and keeps its position. The number of updates is `iterations`.
+
+An elevation of exactly +-90 deg leaves the azimuth undefined. Such an anchor's frame is turned, so
+that its ray has azimuth and elevation 0 (`off_the_poles`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from aoabench.estimators.least_squares import KERNELS, by_kernel, measured, planes, rows_param
+from aoabench.estimators.least_squares import (
+    KERNELS,
+    by_kernel,
+    measured,
+    planes,
+    rows_param,
+    stated,
+    usable,
+)
 from aoabench.estimators.parameters import tolerance_param, updates_param
+from aoabench.estimators.rays import (
+    FAR,
+    behind,
+    extent,
+    off_the_poles,
+    rays,
+    residual_variance,
+)
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
-from aoabench.maths.linalg import solve
+from aoabench.maths.linalg import inverse, solve
 from aoabench.params import param
 from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates, Outcome
+from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
 
 AZIMUTHS = ("arctan", "atan2", "kcorr")
 PRINTED = ("sign", "atan2")  # errata that can be run as printed: L1 and L2
@@ -60,59 +80,96 @@ class GaussNewton(Compiled, Estimator):
     tile = 1
     kernels = KERNELS
 
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"several_anchors"})
+
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """One position per fix, the number of updates, and the outcome of the iteration."""
+        """One position per fix, the number of updates, and the outcome of the iteration.
+
+        The covariance is the inverse Fisher information at the stated variances, or at one variance
+        that the residuals give; that of a start is the start's.
+        """
         compiled = self.compiled(batch.anchors)
-        if compiled is not None:
-            variant = (
-                AZIMUTHS.index(self.azimuth),
-                0 if self.as_printed is None else 1 + PRINTED.index(self.as_printed),
-            )
-            found = by_kernel(compiled, batch, self.start, *variant, self.tolerance_m, self.updates)
-            return Estimates(found[0], None, found[2], found[1])
-        start = planes(batch, self.start)
-        x, outcome, iterations = (
-            start.copy(),
-            np.full(start.shape[:2], int(Outcome.OK)),
-            np.zeros(start.shape[:2]),
-        )
-        for i, y in enumerate(zip(*measured(batch))):
-            x[i], outcome[i], iterations[i] = self.iterate(start[i], *y, batch.anchors.of(i))
-        return Estimates(x, None, iterations, outcome.astype(np.int8))
+        if compiled is None:
+            return self.in_numpy(off_the_poles(batch)[0])
+        printed = 0 if self.as_printed is None else 1 + PRINTED.index(self.as_printed)
+        variant = AZIMUTHS.index(self.azimuth), printed
+        found = by_kernel(compiled, batch, self.start, variant, self.tolerance_m, self.updates)
+        turned, at_pole = off_the_poles(batch)
+        if at_pole.any():
+            other = self.in_numpy(turned)
+            for f in fields(Estimates):
+                into, value = getattr(found, f.name), getattr(other, f.name)
+                if into is not None:
+                    into[at_pole] = value[at_pole]
+        return found
+
+    def in_numpy(self, batch: Batch) -> Estimates:
+        """The estimates of a tile in NumPy."""
+        first, s = planes(batch, self.start), batch.anchors.position
+        start, given = first.position, measured(batch)
+        x, outcome, iterations = start.copy(), first.outcome.copy(), np.zeros(start.shape[:2])
+        assert first.reason is not None
+        assert first.covariance is not None
+        reason, P = np.empty_like(outcome), first.covariance
+        for i, y in enumerate(zip(*given)):
+            found = self.iterate(start[i], *y, batch.anchors.of(i))
+            x[i], outcome[i], reason[i], iterations[i] = found[:4]
+            if not stated(batch):
+                angles = (y[2] > 0).sum(axis=-1) + (y[3] > 0).sum(axis=-1)
+                found[4][:] *= residual_variance(found[5], angles - 3)[:, None, None]
+            P[i] = np.where((found[1] == Outcome.OK)[:, None, None], found[4], P[i])
+        reason = np.where(outcome == Outcome.FAILED, first.reason, reason)
+        ahead = rays(usable(batch, *given[2:])).ahead
+        back = (outcome == Outcome.OK) & behind(ahead, s, x)
+        outcome[back], reason[back] = Outcome.DIVERGED, Reason.BEHIND
+        return Estimates(x, P, iterations, outcome, None, first.anchors_used, reason)
 
     def iterate(
         self, start: Array, azimuth: Array, elevation: Array, wa: Array, we: Array, anchors: Anchors
-    ) -> tuple[Array, np.ndarray, np.ndarray]:
-        """Positions (T, 3), outcomes (T,) and updates (T,) from starts (T, 3) and measurements (T,
-        B).
+    ) -> tuple[Array, np.ndarray, np.ndarray, Array, Array, Array]:
+        """Positions (T, 3), outcomes, reasons and updates (T,), inverse normal matrices (T, 3, 3)
+        and sums of squared residuals (T,) from starts (T, 3) and measurements (T, B).
         """
-        x, count = start.copy(), np.zeros(len(start))
-        outcome = np.where(np.isfinite(start).all(-1), Outcome.OSCILLATED, Outcome.FAILED).astype(
-            int
-        )
-        active = np.flatnonzero(outcome == Outcome.OSCILLATED)
+        x, count, T = start.copy(), np.zeros(len(start)), len(start)
+        started: np.ndarray = np.asarray(np.isfinite(start).all(-1))
+        outcome = np.where(started, Outcome.OSCILLATED, Outcome.FAILED).astype(np.int8)
+        reason = np.full(T, Reason.NO_CONVERGENCE, dtype=np.int8)
+        P, squares = np.full((T, 3, 3), np.nan), np.full(T, np.nan)
+        s = anchors.position[0]
+        centre, far = np.broadcast_to(s.mean(axis=1), (T, 3)), FAR * extent(anchors.position)[0]
+        far = np.broadcast_to(far, T)
+        active = np.flatnonzero(started)
         for _ in range(self.updates):
             if not len(active):
                 break
             y = azimuth[active], elevation[active], wa[active], we[active]
-            A, g = self.normal_equations(x[active], *y, anchors.at(active))
+            A, g, q = self.normal_equations(x[active], *y, anchors.at(active))
             step = solve(A, g)
             count[active] += 1
             with np.errstate(invalid="ignore"):
                 x[active] += step
                 length = np.linalg.norm(step, axis=-1)
-                lost = ~(np.linalg.norm(x[active], axis=-1) <= 1e9)
+                lost = ~(np.linalg.norm(x[active] - centre[active], axis=-1) <= far[active])
+            singular: np.ndarray = np.asarray(np.isnan(step).any(axis=-1))
+            done = ~lost & (length < self.tolerance_m)
             outcome[active[lost]] = Outcome.DIVERGED
-            outcome[active[~lost & (length < self.tolerance_m)]] = Outcome.OK
-            active = active[~lost & (length >= self.tolerance_m)]
+            reason[active[lost]] = np.where(singular[lost], Reason.NO_DESCENT, Reason.TOO_FAR)
+            outcome[active[done]], reason[active[done]] = Outcome.OK, Reason.NONE
+            P[active[done]] = inverse(A[done])
+            squares[active[done]] = (q - (g * step).sum(axis=-1))[done]
+            active = active[~lost & ~done]
         back = (outcome == Outcome.DIVERGED) | (outcome == Outcome.OSCILLATED)
         x[back] = start[back]
-        return x, outcome, count
+        return x, outcome, reason, count, P, squares
 
     def normal_equations(
         self, x: Array, azimuth: Array, elevation: Array, wa: Array, we: Array, anchors: Anchors
-    ) -> tuple[Array, Array]:
-        """G^T C^-1 G (N, 3, 3) and G^T C^-1 (y - f) (N, 3) at positions (N, 3)."""
+    ) -> tuple[Array, Array, Array]:
+        """G^T C^-1 G (N, 3, 3), G^T C^-1 (y - f) (N, 3) and (y - f)^T C^-1 (y - f) (N,) at
+        positions (N, 3).
+        """
         R = anchors.rotation[0]
         local = (R @ (x[:, None] - anchors.position[0])[..., None])[..., 0]
         u, v, w = np.moveaxis(local, -1, 0)  # (N, B)
@@ -126,7 +183,8 @@ class GaussNewton(Compiled, Estimator):
         if self.as_printed == "atan2":
             ga = -ga  # the derivative as printed
         A = np.einsum("nb,nbi,nbj->nij", wa, ga, ga) + np.einsum("nb,nbi,nbj->nij", we, ge, ge)
-        return A, np.einsum("nb,nbi->ni", wa * da, ga) + np.einsum("nb,nbi->ni", we * de, ge)
+        g = np.einsum("nb,nbi->ni", wa * da, ga) + np.einsum("nb,nbi->ni", we * de, ge)
+        return A, g, (wa * da**2 + we * de**2).sum(axis=-1)
 
     def azimuth_difference(self, measured: Array, u: Array, v: Array) -> Array:
         """Measured azimuth minus the azimuth of (u, v) in rad, by the chosen definition."""

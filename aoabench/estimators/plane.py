@@ -5,17 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from aoabench.errors import BadValue
-from aoabench.maths.geometry import Array, to_unit
+from aoabench.estimators.rays import Rays, behind, judged, measured_reason
+from aoabench.maths.geometry import Array
 from aoabench.roles import Scenario
-from aoabench.types import Anchors, Batch, Estimates, Outcome
-
-
-def directions(batch: Batch) -> Array:
-    """Measured directions (R, T, B, 3), unit vectors in the global frame; NaN where an angle is not
-    measured.
-    """
-    u = to_unit(batch.azimuth, batch.elevation)
-    return (u[..., None, :] @ batch.anchors.rotation)[..., 0, :]
+from aoabench.types import Anchors, Estimates
 
 
 def on_plane(u: Array, anchors: Anchors, height: float, horizon: float) -> Array:
@@ -62,8 +55,34 @@ def clipped(xy: Array, scenario: Scenario, clip: bool) -> Array:
     return xy if bounds is None or not clip else np.clip(xy, *np.asarray(bounds))
 
 
-def in_plane(xy: Array, score: Array | None, used: Array) -> Estimates:
-    """Estimates from positions (R, T, 2) m: z is NaN, and the outcome FAILED for a NaN position."""
-    position = np.concatenate([xy, np.full((*xy.shape[:2], 1), np.nan)], axis=-1)
-    outcome = np.where(np.isfinite(xy).all(-1), Outcome.OK, Outcome.FAILED).astype(np.int8)
-    return Estimates(position, None, None, outcome, score, used)
+def ray_covariances(xy: Array, anchors: Anchors, height: float, variance: Array) -> Array:
+    """Covariances (R, T, B, 2, 2) m^2 of points xy (R, T, B, 2) m, where rays with isotropic
+    angular variances (R, T, B) rad^2 meet the plane: var r^2 (I + c c^T / u_z^2), with the unit
+    vector (c, u_z) of the ray and the distance r from the anchor.
+    """
+    s = anchors.position
+    d, h = xy - s[..., :2], height - s[..., 2]
+    r2 = (d**2).sum(axis=-1) + h**2
+    slope = d / h[..., None]
+    across = np.eye(2) + slope[..., :, None] * slope[..., None, :]
+    return (variance * r2)[..., None, None] * across
+
+
+def in_plane(
+    xy: Array, covariance: Array | None, score: Array | None, r: Rays, s: Array, height: float
+) -> Estimates:
+    """Estimates in the plane z = height from positions (R, T, 2) m, NaN for none, their covariances
+    (R, T, 2, 2) m^2, the rays that they use and the anchors s (R|1, T|1, B, 3) m; z is NaN.
+    """
+    nothing = np.full((*xy.shape[:2], 1), np.nan)
+    solved: np.ndarray = np.asarray(np.isfinite(xy).all(-1))
+    level = np.concatenate([xy, np.full_like(nothing, height)], axis=-1)
+    back = behind(r.ahead, s, level)
+    outcome, reason = judged(solved, back, measured_reason(r.used, 1))
+    P = None
+    if covariance is not None:
+        P = np.full((*xy.shape[:2], 3, 3), np.nan)
+        P[..., :2, :2] = covariance
+    position = np.concatenate([xy, nothing], axis=-1)
+    used = r.used.sum(axis=-1).astype(float)
+    return Estimates(position, P, None, outcome, score, used, reason)

@@ -13,20 +13,42 @@ a known height.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from aoabench.estimators.lines import nearest_point
 from aoabench.estimators.parameters import clip_param, tolerance_param, updates_param
-from aoabench.estimators.plane import clipped, directions, plane_of
+from aoabench.estimators.plane import clipped, on_plane, plane_of
+from aoabench.estimators.rays import (
+    FAR,
+    Rays,
+    apart,
+    behind,
+    extent,
+    measured_reason,
+    rays,
+    residual_variance,
+)
 from aoabench.maths.geometry import Array
-from aoabench.maths.linalg import solve
+from aoabench.maths.linalg import inverse, solve
 from aoabench.params import param
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
-from aoabench.types import Batch, Estimates, Outcome
+from aoabench.types import Batch, Estimates, Outcome, Reason
 
 FREE = "free"
+HORIZON = np.deg2rad(1.0)  # rays of a start look at least this far towards the plane
+
+
+class Minimum(NamedTuple):
+    """Result of the iterations: position (N, 3) m, outcome, updates, cost and reason (N,)."""
+
+    position: Array
+    outcome: np.ndarray
+    updates: Array
+    cost: Array
+    reason: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -35,8 +57,11 @@ class VmfLikelihood(Estimator):
 
     Each kappa is 1 / sigma^2 of the azimuth's stated deviation; without stated deviations all kappa
     are equal. The outcome of a fix is OSCILLATED if no step is shorter than `tolerance_m` within
-    `updates`, DIVERGED beyond 1e6 m, FAILED without a start. The score is the root mean square
-    angle in rad between measured and expected directions.
+    `updates`; DIVERGED behind an anchor, or farther from the anchors' centre than FAR times their
+    extent; FAILED without a start. A start needs two anchors in different places, or one if the
+    height is known. The score is the root mean square angle in rad between measured and expected
+    directions. The covariance is the inverse Fisher information, with stated deviations or with one
+    deviation from the residuals.
     """
 
     height_m: float | str | None = param(
@@ -65,64 +90,130 @@ class VmfLikelihood(Estimator):
         return plane_of(self.height_m, scenario)  # type: ignore[arg-type]
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        height = self._height(scenario)
-        d = directions(batch)
-        known: np.ndarray = np.asarray(np.isfinite(d).all(axis=-1))
-        d = np.where(known[..., None], d, 0.0)
-        w = known * (1.0 if batch.azimuth_sigma is None else 1.0 / np.square(batch.azimuth_sigma))
-        w = np.where(known & np.isfinite(w), w, 0.0)
-        s = np.broadcast_to(batch.anchors.position, d.shape)
-        P = np.where(known[..., None, None], np.eye(3) - d[..., :, None] * d[..., None, :], 0.0)
-        start = nearest_point(P, s)
+        height, s = self._height(scenario), batch.anchors.position
+        r = rays(batch)
+        r = r.of(r.line)  # an azimuth alone is no direction
+        stated = batch.azimuth_sigma
+        with np.errstate(divide="ignore"):
+            w = r.line * (1.0 if stated is None else 1.0 / np.square(stated))
+        known = r.line & np.isfinite(w) & (w > 0)
+        r, w = r.of(known), np.where(known, w, 0.0)
+        start = nearest_point(r, s).position
+        distinct = apart(s, known)
         if height is not None:
-            level = np.full((*known.shape[:2], 1), height)
-            start = np.concatenate([clipped(start[..., :2], scenario, True), level], axis=-1)
-        shape, size = start.shape, start.shape[0] * start.shape[1]
-        flat = (
-            start.reshape(size, 3),
-            d.reshape(size, -1, 3),
-            w.reshape(size, -1),
-            s.reshape(size, -1, 3),
-        )
-        p, outcome, count, cost = self.minimise(*flat, free=height is None)
-        n, total = known.sum(axis=-1), w.sum(axis=-1)
-        score = np.where(
-            n > 1, np.sqrt(2 * cost.reshape(n.shape) / np.where(total > 0, total, 1.0)), np.nan
-        )
-        position = p.reshape(shape).copy()
-        position[..., :2] = clipped(position[..., :2], scenario, self.clip)
+            start = self._on_plane(r, batch, start, scenario, height)
+            distinct = np.ones_like(distinct)
+        start = np.where(distinct[..., None], start, np.nan)
+        shape, every = start.shape, (start.shape[0] * start.shape[1], -1, 3)
+        sites = np.broadcast_to(s, r.ahead.shape).reshape(every)
+        flat = r.ahead.reshape(every), w.reshape(every[:2]), sites
+        far = np.broadcast_to(_reach(s, height), shape[:2]).ravel()
+        found = self.minimise(start.reshape(-1, 3), *flat, far, free=height is None)
+        return self._estimates(batch, scenario, r, found, w, height)
+
+    def _on_plane(
+        self, r: Rays, batch: Batch, start: Array, scenario: Scenario, height: float
+    ) -> Array:
+        """Starts (R, T, 3) m on the plane: the point nearest to the lines, or else the mean of the
+        points where the rays meet the plane.
+        """
+        xy = start[..., :2]
+        if np.isnan(xy).any():
+            each = on_plane(r.ahead, batch.anchors, height, HORIZON)
+            with np.errstate(invalid="ignore"):
+                mean = np.where(r.line[..., None], each, 0.0).sum(axis=2)
+                mean = mean / r.line.sum(axis=-1)[..., None]
+            xy = np.where(np.isnan(xy), mean, xy)
+        level = np.full((*xy.shape[:2], 1), height)
+        return np.concatenate([clipped(xy, scenario, True), level], axis=-1)
+
+    def _estimates(
+        self,
+        batch: Batch,
+        scenario: Scenario,
+        r: Rays,
+        found: Minimum,
+        w: Array,
+        height: float | None,
+    ) -> Estimates:
+        """Estimates from the minima (R T,), with outcomes, score and covariance."""
+        s, shape = batch.anchors.position, w.shape[:2]
+        n, total = r.line.sum(axis=-1), w.sum(axis=-1)
+        p, cost = found.position.reshape(*shape, 3).copy(), found.cost.reshape(shape)
+        failed = measured_reason(r.line, 1 if height is not None else 2, ~apart(s, r.line))
+        outcome = found.outcome.reshape(shape).copy()
+        reason = np.where(outcome == Outcome.FAILED, failed, found.reason.reshape(shape))
+        back = (outcome == Outcome.OK) & behind(r.ahead, s, p)
+        outcome[back], reason[back] = Outcome.DIVERGED, Reason.BEHIND
+        score = np.sqrt(2 * cost / np.where(total > 0, total, 1.0))
+        free = 2 * n - (3 if height is None else 2)
+        scale = np.ones(shape)
+        if batch.azimuth_sigma is None:
+            scale = residual_variance(2 * cost, free)
+        P = self._covariance(p, r, w, s, height is None) * scale[..., None, None]
+        position = np.concatenate([clipped(p[..., :2], scenario, self.clip), p[..., 2:]], axis=-1)
         if height is not None:
             position[..., 2] = np.nan
         return Estimates(
             position,
-            None,
-            count.reshape(shape[:2]),
-            outcome.reshape(shape[:2]),
-            score,
+            P,
+            found.updates.reshape(shape),
+            outcome,
+            np.where(n > 1, score, np.nan),
             n.astype(float),
+            reason.astype(np.int8),
         )
 
-    def minimise(
-        self, p: Array, d: Array, w: Array, s: Array, free: bool
-    ) -> tuple[Array, np.ndarray, np.ndarray, Array]:
-        """Positions (N, 3) m, outcomes, updates and costs (N,), from starts p (N, 3) m, directions
-        d, weights w and anchors s (N, B, ...); z is fixed unless `free`."""
+    def _covariance(self, p: Array, r: Rays, w: Array, s: Array, free: bool) -> Array:
+        """Inverse Fisher information (R, T, 3, 3) m^2 for kappa = w: (sum w (I - u u^T) / r^2)^-1;
+        z is left out (NaN) unless `free`.
+        """
+        u = p[:, :, None] - s
+        squared = np.maximum((u**2).sum(axis=-1), 1e-18)
+        v = u * (np.sqrt(w) / squared)[..., None]
+        J = -np.swapaxes(v, -1, -2) @ v
+        J[..., range(3), range(3)] += (w / squared).sum(axis=-1)[..., None]
+        if not free:
+            J[..., 2, :] = J[..., :, 2] = 0.0
+            J[..., 2, 2] = J[..., 0, 0] + J[..., 1, 1]
+        P = inverse(J)
+        if not free:
+            P[..., 2, :] = P[..., :, 2] = np.nan
+        return P
+
+    def minimise(self, p: Array, d: Array, w: Array, s: Array, far: Array, free: bool) -> Minimum:
+        """Minima from starts p (N, 3) m, directions d, weights w and anchors s (N, B, ...); z is
+        fixed unless `free`.
+
+        `far` (N,) m is the distance from the anchors' centre beyond which a fix is DIVERGED. A
+        minimum behind an anchor may be a saddle or a maximum of the likelihood; the iteration is
+        then repeated from the best point on the rays, and the smaller cost counts.
+        """
+        found = self._descend(p, d, w, s, far, free)
+        back = behind(d[:, None], s[:, None], found.position[:, None])[:, 0]
+        again = np.flatnonzero(back & (found.outcome != Outcome.FAILED))
+        if len(again):
+            part = d[again], w[again], s[again]
+            start = _in_front(found.position[again], *part, far[again] / FAR, free)
+            second = self._descend(start, *part, far[again], free)
+            better = second.cost < found.cost[again]
+            for kept, new in zip(found, second):
+                kept[again[better]] = new[better]
+        return found
+
+    def _descend(self, p: Array, d: Array, w: Array, s: Array, far: Array, free: bool) -> Minimum:
+        """Levenberg-Marquardt steps from starts p (N, 3) m."""
         p, damping, count = p.copy(), np.full(len(p), 1e-3), np.zeros(len(p))
-        outcome = np.where(np.isfinite(p).all(axis=-1), Outcome.OSCILLATED, Outcome.FAILED).astype(
-            np.int8
-        )
+        started: np.ndarray = np.asarray(np.isfinite(p).all(axis=-1))
+        outcome = np.where(started, Outcome.OSCILLATED, Outcome.FAILED).astype(np.int8)
+        reason = np.where(started, Reason.NO_CONVERGENCE, Reason.UNDETERMINED).astype(np.int8)
         cost = np.where(outcome == Outcome.FAILED, np.nan, _expected(p, d, w, s)[2])
-        left = np.flatnonzero(outcome == Outcome.OSCILLATED)
+        centre = s.mean(axis=1)
+        left = np.flatnonzero(started)
         for _ in range(self.updates):
             if not len(left):
                 break
-            u, r, _ = _expected(p[left], d[left], w[left], s[left])
-            J = w[left] / r
-            g = (J[..., None] * (d[left] - u * (u * d[left]).sum(axis=-1)[..., None])).sum(axis=1)
-            J = (J / r)[..., None, None]
-            A = (J * (np.eye(3) - u[..., :, None] * u[..., None, :])).sum(axis=1)
-            if not free:
-                A[:, 2, :2] = A[:, :2, 2] = g[:, 2] = 0.0
+            A, g = _normal_equations(p[left], d[left], w[left], s[left], free)
             A[:, range(3), range(3)] *= 1.0 + damping[left, None]
             step = solve(A, g)
             tried = p[left] + step
@@ -131,13 +222,53 @@ class VmfLikelihood(Estimator):
             with np.errstate(invalid="ignore"):
                 better = new <= cost[left]
                 length = np.linalg.norm(step, axis=-1)
-                lost = ~(np.linalg.norm(tried, axis=-1) <= 1e6)
+                lost = ~(np.linalg.norm(tried - centre[left], axis=-1) <= far[left])
             p[left[better]], cost[left[better]] = tried[better], new[better]
             damping[left] = np.clip(damping[left] * np.where(better, 0.1, 10.0), 1e-12, 1e12)
-            outcome[left[lost]] = Outcome.DIVERGED
-            outcome[left[~lost & (length < self.tolerance_m)]] = Outcome.OK
+            singular = np.isnan(length)
+            outcome[left[lost]], reason[left[lost]] = Outcome.DIVERGED, Reason.TOO_FAR
+            reason[left[singular]] = Reason.NO_DESCENT
+            done = left[~lost & (length < self.tolerance_m)]
+            outcome[done], reason[done] = Outcome.OK, Reason.NONE
             left = left[~lost & (length >= self.tolerance_m)]
-        return p, outcome, count, cost
+        return Minimum(p, outcome, count, cost, reason)
+
+
+def _normal_equations(p: Array, d: Array, w: Array, s: Array, free: bool) -> tuple[Array, Array]:
+    """A (N, 3, 3) and g (N, 3) of a Gauss-Newton step from p (N, 3) m; z is fixed unless `free`."""
+    u, r, _ = _expected(p, d, w, s)
+    J = w / r
+    g = (J[..., None] * (d - u * (u * d).sum(axis=-1)[..., None])).sum(axis=1)
+    J = (J / r)[..., None, None]
+    A = (J * (np.eye(3) - u[..., :, None] * u[..., None, :])).sum(axis=1)
+    if not free:
+        A[:, 2, :2] = A[:, :2, 2] = g[:, 2] = 0.0
+    return A, g
+
+
+def _in_front(p: Array, d: Array, w: Array, s: Array, length: Array, free: bool) -> Array:
+    """The points (N, 3) m of least cost among points on the rays, at multiples of `length` (N,) m
+    from the anchors, and p (N, 3) m itself.
+    """
+    best, least = p.copy(), _expected(p, d, w, s)[2]
+    for multiple in (0.25, 1.0, 4.0):
+        for j in range(d.shape[1]):
+            tried = s[:, j] + multiple * length[:, None] * d[:, j]
+            if not free:
+                tried[:, 2] = p[:, 2]
+            cost = np.where(w[:, j] > 0, _expected(tried, d, w, s)[2], np.inf)
+            best[cost < least], least = tried[cost < least], np.minimum(cost, least)
+    return best
+
+
+def _reach(s: Array, height: float | None) -> Array:
+    """Distance (R|1, T|1) m from the centre of the anchors (R|1, T|1, B, 3) m beyond which a fix is
+    DIVERGED: FAR times the anchors' extent, or their height above the plane if that is more.
+    """
+    size = extent(s)
+    if height is not None:
+        size = np.maximum(size, np.abs(s[..., 2] - height).max(axis=-1))
+    return FAR * size
 
 
 def _expected(p: Array, d: Array, w: Array, s: Array) -> tuple[Array, Array, Array]:

@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from aoabench.types import Outcome
+from aoabench.types import Outcome, Reason
 
 
 class Kept(NamedTuple):
@@ -41,8 +41,9 @@ def kept(stated: str = "") -> Kept:
 
 
 def source_digest() -> str:
-    """Hash of the outcomes and of the files of aoabench.kernels; it identifies the machine code."""
-    read = hashlib.blake2b(repr([(o.name, o.value) for o in Outcome]).encode(), digest_size=10)
+    """Hash of outcomes, reasons and the files of aoabench.kernels; it identifies machine code."""
+    numbers = repr([(o.name, o.value) for o in (*Outcome, *Reason)])
+    read = hashlib.blake2b(numbers.encode(), digest_size=10)
     for file in sorted(Path(__file__).parent.glob("*.py")):
         text = file.read_bytes()
         read.update(f"{file.name} {len(text)}\n".encode())

@@ -1,9 +1,9 @@
 """Kernels of the snapshot estimators: least squares and Gauss-Newton on azimuth and elevation, one
 fix after the other.
 
-The kernels compute the same as `estimators/least_squares.py` and `maximum_likelihood.py`. Within a
-fix the loops run over the anchors, padded with weight 0 to a multiple of `LANES`, and contain no
-calls, so that the compiler vectorises them. Fixes are independent.
+The arithmetic of `least_squares.py` and `maximum_likelihood.py`. Within a fix the loops run over
+the anchors, padded with weight 0 to a multiple of `LANES`, without calls, so that the compiler
+vectorises them; no fix sees another one.
 """
 
 from __future__ import annotations
@@ -15,33 +15,53 @@ from numba import types
 
 from aoabench.kernels.angles import HALF_PI, TURN, angle, sine_cosine
 from aoabench.kernels.compile import given, inlined, kernel
-from aoabench.kernels.small import DIVERGED, FAILED, OK, OSCILLATED, SINGULAR, solve
+from aoabench.kernels.small import (
+    BEHIND,
+    DIVERGED,
+    FAILED,
+    NO_CONVERGENCE,
+    NO_DESCENT,
+    NO_MEASUREMENT,
+    NONE,
+    OK,
+    ONE_PLACE,
+    OSCILLATED,
+    TOO_FAR,
+    TOO_FEW_ANCHORS,
+    UNDETERMINED,
+    inverse,
+    solve,
+)
 
 LANES = 4
-ARCTAN, ATAN2, KCORR = range(3)  # definitions of the azimuth's difference
-CORRECTED, SIGN, SWAPPED = range(3)  # erratum to run as printed: none, L1, L2
-PRINTED, INVARIANT = range(2)  # equations of the elevation
-FAR = 1e9  # m; an iteration beyond this distance diverges
+ARCTAN, ATAN2, KCORR = range(3)  # what an azimuth's difference means
+CORRECTED, SIGN, SWAPPED = range(3)  # errata as printed
+PRINTED, INVARIANT = range(2)  # the elevation's rows
+SP, CP, ST, CT = range(4)  # rows of trig: sines and cosines of azimuth and elevation
+SAME_PLACE = 1e-12  # as in maths.linalg
+FLOOR = 1e-8  # rad^2: PRECISION^2 of estimators.rays
+UNKNOWN = math.nan
 
 
 @inlined
-def planes(rows, phi, theta, wa, we, s, R):
-    """Least-squares position x, y, z m from one fix's angles (B,) rad, and whether the equations
-    determine it.
+def planes(rows, phi, theta, wa, we, s, R, trig):
+    """Least-squares position of one fix from its angles (B,), relative to the origin of s (3, B); R
+    (3, 3, B); fills trig (4, B).
 
-    The position and the anchors s (3, B) m have the same origin; R (3, 3, B). The equations do not
-    determine a position if all anchors that measured are at one place, because their planes meet
-    at this place for all measurements.
+    Also returns whether the equations determine it, the number of anchors that measured, whether
+    these stand in more than one place (planes through one place meet there for all measurements),
+    and the number of angles.
     """
     a00 = a10 = a11 = a20 = a21 = a22 = g0 = g1 = g2 = 0.0
-    n = mx = my = mz = m2 = 0.0
+    n = mx = my = mz = m2 = angles = 0.0
     for j in range(len(phi)):
         sp, cp = sine_cosine(phi[j])
         st, ct = sine_cosine(theta[j])
-        w = 1.0 if wa[j] > 0.0 else 0.0
-        x = w * (R[0, 0, j] * sp - R[1, 0, j] * cp)
-        y = w * (R[0, 1, j] * sp - R[1, 1, j] * cp)
-        z = w * (R[0, 2, j] * sp - R[1, 2, j] * cp)
+        trig[SP, j], trig[CP, j], trig[ST, j], trig[CT, j] = sp, cp, st, ct
+        first = 1.0 if wa[j] > 0.0 else 0.0
+        x = first * (R[0, 0, j] * sp - R[1, 0, j] * cp)
+        y = first * (R[0, 1, j] * sp - R[1, 1, j] * cp)
+        z = first * (R[0, 2, j] * sp - R[1, 2, j] * cp)
         p = st / ct if rows == PRINTED else st * cp
         q = 0.0 if rows == PRINTED else st * sp
         r = cp if rows == PRINTED else ct
@@ -60,23 +80,130 @@ def planes(rows, phi, theta, wa, we, s, R):
         g0 += x * b + u * d
         g1 += y * b + v * d
         g2 += z * b + t * d
-        w = 1.0 if wa[j] + we[j] > 0.0 else 0.0
-        n += w
-        mx += w * s[0, j]
-        my += w * s[1, j]
-        mz += w * s[2, j]
-        m2 += w * (s[0, j] * s[0, j] + s[1, j] * s[1, j] + s[2, j] * s[2, j])
+        angles += first + (1.0 if we[j] > 0.0 else 0.0)
+        n += first
+        mx += first * s[0, j]
+        my += first * s[1, j]
+        mz += first * s[2, j]
+        m2 += first * (s[0, j] * s[0, j] + s[1, j] * s[1, j] + s[2, j] * s[2, j])
     x, y, z, sound = solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
-    apart = (
-        n * m2 - mx * mx - my * my - mz * mz
-    )  # sum of the squared distances between all pairs of anchors
-    return x, y, z, sound & (apart > SINGULAR * n * m2)
+    between = n * m2 - mx * mx - my * my - mz * mz
+    return x, y, z, sound, n, between > SAME_PLACE * n * m2, angles
+
+
+@inlined
+def spread_of_planes(rows, stated, freedom, x, y, z, wa, we, s, R, trig, P):
+    """Covariance of the least-squares position (x, y, z) into P (3, 3): A^-1 M A^-1, where M is the
+    covariance of the equations' right side.
+
+    The rows a, b of an anchor change with its angles: the azimuth moves a by f and b by h, the
+    elevation b by k. M sums var_a (f a + h b) (f a + h b)^T + var_e k^2 b b^T.
+    """
+    a00 = a10 = a11 = a20 = a21 = a22 = 0.0
+    m00 = m10 = m11 = m20 = m21 = m22 = squares = 0.0
+    for j in range(wa.shape[0]):
+        sp, cp, st, ct = trig[SP, j], trig[CP, j], trig[ST, j], trig[CT, j]
+        dx, dy, dz = x - s[0, j], y - s[1, j], z - s[2, j]
+        u = R[0, 0, j] * dx + R[0, 1, j] * dy + R[0, 2, j] * dz
+        v = R[1, 0, j] * dx + R[1, 1, j] * dy + R[1, 2, j] * dz
+        w = R[2, 0, j] * dx + R[2, 1, j] * dy + R[2, 2, j] * dz
+        one = 1.0 if wa[j] > 0.0 else 0.0
+        two = 1.0 if wa[j] * we[j] > 0.0 else 0.0
+        p = st / ct if rows == PRINTED else st * cp
+        q = 0.0 if rows == PRINTED else st * sp
+        t = cp if rows == PRINTED else ct
+        f = cp * u + sp * v
+        h = sp * w if rows == PRINTED else st * (cp * v - sp * u)
+        k = u / (ct * ct) if rows == PRINTED else ct * f + st * w
+        ax = one * (R[0, 0, j] * sp - R[1, 0, j] * cp)
+        ay = one * (R[0, 1, j] * sp - R[1, 1, j] * cp)
+        az = one * (R[0, 2, j] * sp - R[1, 2, j] * cp)
+        bx = two * (R[0, 0, j] * p + R[1, 0, j] * q - R[2, 0, j] * t)
+        by = two * (R[0, 1, j] * p + R[1, 1, j] * q - R[2, 1, j] * t)
+        bz = two * (R[0, 2, j] * p + R[1, 2, j] * q - R[2, 2, j] * t)
+        va = 1.0 / wa[j] if one > 0.0 else 0.0
+        ve = k * k / we[j] if two > 0.0 else 0.0
+        e = ax * dx + ay * dy + az * dz
+        g = bx * dx + by * dy + bz * dz
+        squares += (e * e / (f * f) if one > 0.0 else 0.0) + (g * g / (k * k) if two > 0.0 else 0.0)
+        a00 += ax * ax + bx * bx
+        a10 += ax * ay + bx * by
+        a11 += ay * ay + by * by
+        a20 += ax * az + bx * bz
+        a21 += ay * az + by * bz
+        a22 += az * az + bz * bz
+        cx, cy, cz = f * ax + h * bx, f * ay + h * by, f * az + h * bz
+        m00 += va * cx * cx + ve * bx * bx
+        m10 += va * cx * cy + ve * bx * by
+        m11 += va * cy * cy + ve * by * by
+        m20 += va * cx * cz + ve * bx * bz
+        m21 += va * cy * cz + ve * by * bz
+        m22 += va * cz * cz + ve * bz * bz
+    c = 1.0 if stated else scale(squares, freedom)
+    i00, i10, i11, i20, i21, i22 = inverse(a00, a10, a11, a20, a21, a22)
+    t00, t01, t02 = (
+        i00 * m00 + i10 * m10 + i20 * m20,
+        i00 * m10 + i10 * m11 + i20 * m21,
+        i00 * m20 + i10 * m21 + i20 * m22,
+    )
+    t10, t11, t12 = (
+        i10 * m00 + i11 * m10 + i21 * m20,
+        i10 * m10 + i11 * m11 + i21 * m21,
+        i10 * m20 + i11 * m21 + i21 * m22,
+    )
+    t20, t21, t22 = (
+        i20 * m00 + i21 * m10 + i22 * m20,
+        i20 * m10 + i21 * m11 + i22 * m21,
+        i20 * m20 + i21 * m21 + i22 * m22,
+    )
+    fill(
+        P,
+        c,
+        t00 * i00 + t01 * i10 + t02 * i20,
+        t10 * i00 + t11 * i10 + t12 * i20,
+        t10 * i10 + t11 * i11 + t12 * i21,
+        t20 * i00 + t21 * i10 + t22 * i20,
+        t20 * i10 + t21 * i11 + t22 * i21,
+        t20 * i20 + t21 * i21 + t22 * i22,
+    )
+
+
+@inlined
+def scale(squares, freedom):
+    """Variance of an angle from the sum of squared residuals; NaN without a degree of freedom."""
+    return max(squares / freedom, FLOOR) if freedom > 0.0 else UNKNOWN
+
+
+@inlined
+def fill(P, c, p00, p10, p11, p20, p21, p22):
+    """Write a symmetric matrix, times c, into P (3, 3)."""
+    P[0, 0], P[1, 1], P[2, 2] = c * p00, c * p11, c * p22
+    P[0, 1] = P[1, 0] = c * p10
+    P[0, 2] = P[2, 0] = c * p20
+    P[1, 2] = P[2, 1] = c * p21
+
+
+@inlined
+def is_behind(x, y, z, wa, we, s, R, trig):
+    """Whether (x, y, z) lies behind an anchor that measured: u . (p - s) < 0 for its ray u."""
+    back = 0.0
+    for j in range(wa.shape[0]):
+        dx, dy, dz = x - s[0, j], y - s[1, j], z - s[2, j]
+        u = R[0, 0, j] * dx + R[0, 1, j] * dy + R[0, 2, j] * dz
+        v = R[1, 0, j] * dx + R[1, 1, j] * dy + R[1, 2, j] * dz
+        w = R[2, 0, j] * dx + R[2, 1, j] * dy + R[2, 2, j] * dz
+        flat = trig[CP, j] * u + trig[SP, j] * v
+        ahead = trig[CT, j] * flat + trig[ST, j] * w if we[j] > 0.0 else flat
+        back += 1.0 if (wa[j] > 0.0) & (ahead < 0.0) else 0.0
+    return back > 0.0
 
 
 @inlined
 def update(azimuth, printed, x, y, z, phi, theta, wa, we, s, R):
-    """One Gauss-Newton step from (x, y, z), and whether its normal matrix is positive definite."""
-    a00 = a10 = a11 = a20 = a21 = a22 = g0 = g1 = g2 = 0.0
+    """One Gauss-Newton step from (x, y, z), whether its normal matrix is sound, that matrix, and
+    the sum of squared residuals, weighted, after the step.
+    """
+    a00 = a10 = a11 = a20 = a21 = a22 = g0 = g1 = g2 = squares = 0.0
     for j in range(len(phi)):
         dx, dy, dz = x - s[0, j], y - s[1, j], z - s[2, j]
         u = R[0, 0, j] * dx + R[0, 1, j] * dy + R[0, 2, j] * dz
@@ -115,7 +242,10 @@ def update(azimuth, printed, x, y, z, phi, theta, wa, we, s, R):
         g0 += A * p * d + E * h * e
         g1 += A * q * d + E * i * e
         g2 += A * r * d + E * l * e
-    return solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
+        squares += A * d * d + E * e * e
+    x, y, z, sound = solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
+    squares -= g0 * x + g1 * y + g2 * z
+    return x, y, z, sound, (a00, a10, a11, a20, a21, a22), squares
 
 
 @kernel(
@@ -123,37 +253,61 @@ def update(azimuth, printed, x, y, z, phi, theta, wa, we, s, R):
         types.intp,
         types.intp,
         types.intp,
+        types.intp,
         types.float64,
         types.intp,
+        types.float64,
         *(given(d) for d in (2, 2, 2, 2, 2, 3)),
         types.float64[:, ::1],
+        types.float64[:, :, ::1],
         types.int8[::1],
-        types.float64[::1],
+        types.int8[::1],
+        *(types.float64[::1] for _ in range(2)),
     )
 )
 def gauss_newton(
-    azimuth, printed, rows, tolerance, updates, phi, theta, wa, we, s, R, x, outcome, count
-):
-    """Position x (N, 3) m, outcome and number of updates (N,) of each fix from angles (N, B) rad.
+    azimuth, printed, rows, stated, tolerance, updates, far, phi, theta, wa, we, s, R, x, P,
+    outcome, reason, count, used,
+):  # fmt: skip
+    """Position x (N, 3), covariance P (N, 3, 3), outcome, reason, number of updates and of anchors
+    used (N,) of each fix from its angles (N, B).
 
-    wa, we (N, B): 1 / variance, 0 if not measured (the angle is then any number); s (3, B) m:
-    anchors relative to the origin, R (3, 3, B). `updates` = 0: least squares alone.
+    wa, we (N, B): 1 / variance, 0 where not measured (the angle is then any number); s (3, B)
+    anchors relative to the origin, R (3, 3, B). `updates` = 0: least squares alone. `stated`: the
+    variances are stated; else the residuals give one. `far`: distance from the origin beyond which
+    a fix has diverged.
     """
+    trig = np.empty((4, phi.shape[1]))
     for n in range(len(phi)):
-        a, b, c, sound = planes(rows, phi[n], theta[n], wa[n], we[n], s, R)
+        a, b, c, sound, anchors, distinct, angles = planes(
+            rows, phi[n], theta[n], wa[n], we[n], s, R, trig
+        )
         x[n, 0], x[n, 1], x[n, 2], outcome[n], count[n] = a, b, c, OK, 0
-        if not sound:
-            x[n, 0], x[n, 1], x[n, 2], outcome[n] = math.nan, math.nan, math.nan, FAILED
-        elif updates > 0:
-            outcome[n] = OSCILLATED
+        reason[n], used[n] = NONE, anchors
+        P[n] = UNKNOWN
+        if not (sound and distinct):
+            x[n, 0], x[n, 1], x[n, 2], outcome[n] = UNKNOWN, UNKNOWN, UNKNOWN, FAILED
+            reason[n] = UNDETERMINED if distinct else ONE_PLACE
+            if anchors < 2.0:
+                reason[n] = TOO_FEW_ANCHORS if anchors > 0.0 else NO_MEASUREMENT
+            continue
+        if updates > 0:
+            outcome[n], reason[n] = OSCILLATED, NO_CONVERGENCE
             for u in range(updates):
-                da, db, dc, sound = update(
+                da, db, dc, sound, A, squares = update(
                     azimuth, printed, a, b, c, phi[n], theta[n], wa[n], we[n], s, R
                 )
                 a, b, c, count[n] = a + da, b + db, c + dc, u + 1
-                if not (sound and a * a + b * b + c * c <= FAR * FAR):
-                    outcome[n] = DIVERGED
+                if not (sound and a * a + b * b + c * c <= far * far):
+                    outcome[n], reason[n] = DIVERGED, TOO_FAR if sound else NO_DESCENT
                     break
                 if da * da + db * db + dc * dc < tolerance * tolerance:
-                    x[n, 0], x[n, 1], x[n, 2], outcome[n] = a, b, c, OK
+                    x[n, 0], x[n, 1], x[n, 2], outcome[n], reason[n] = a, b, c, OK, NONE
+                    v = 1.0 if stated else scale(squares, angles - 3.0)
+                    fill(P[n], v, *inverse(A[0], A[1], A[2], A[3], A[4], A[5]))
                     break
+        a, b, c = x[n, 0], x[n, 1], x[n, 2]
+        if updates == 0 or outcome[n] != OK:
+            spread_of_planes(rows, stated, angles - 3.0, a, b, c, wa[n], we[n], s, R, trig, P[n])
+        if outcome[n] == OK and is_behind(a, b, c, wa[n], we[n], s, R, trig):
+            outcome[n], reason[n] = DIVERGED, BEHIND

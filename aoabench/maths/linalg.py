@@ -3,30 +3,80 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 
 from aoabench.maths.geometry import Array
 
-SINGULAR = 1e-12  # least ratio of a pivot to its diagonal element
+EPS = float(np.finfo(float).eps)
+SINGULAR = 64 * EPS  # of the smallest eigenvalue relative to the trace: it is rounding error below
+ONE_PLACE = 1e-12  # of squared distances relative to the squared distances from the origin
+
+
+class _Factors(NamedTuple):
+    """A = L D L^T with a unit lower L, and whether A is positive definite beyond rounding."""
+
+    l10: Array
+    l20: Array
+    l21: Array
+    d0: Array
+    d1: Array
+    d2: Array
+    sound: np.ndarray
+
+
+def _factors(A: Array) -> _Factors:
+    """Factors of each symmetric A (..., 3, 3).
+
+    With eigenvalues p <= q <= r, the invariants e1 = p + q + r, e2 = p q + p r + q r and e3 = p q r
+    give e3 / e2 between p / 3 and p. A is taken as singular up to e3 = SINGULAR e1 e2. This rule
+    does not depend on the axes; a pivot's rounding error does.
+    """
+    a00, a10, a11 = A[..., 0, 0], A[..., 1, 0], A[..., 1, 1]
+    a20, a21, a22 = A[..., 2, 0], A[..., 2, 1], A[..., 2, 2]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        l10, l20 = a10 / a00, a20 / a00
+        d1 = a11 - l10 * a10
+        e = a21 - l20 * a10
+        l21 = e / d1
+        d2 = a22 - l20 * a20 - l21 * e
+        e1 = a00 + a11 + a22
+        e2 = (a00 * a11 - a10 * a10) + (a00 * a22 - a20 * a20) + (a11 * a22 - a21 * a21)
+        whole = a00 * d1 * d2 > SINGULAR * e1 * e2
+    return _Factors(l10, l20, l21, a00, d1, d2, whole & (a00 > 0) & (d1 > 0) & (d2 > 0))
 
 
 def solve(A: Array, g: Array) -> Array:
-    """A^-1 g, A symmetric (..., 3, 3), g (..., 3), by Cholesky; NaN where a pivot vanishes."""
-    d0 = A[..., 0, 0]
+    """A^-1 g (..., 3) of symmetric A (..., 3, 3) and g (..., 3), by Cholesky; NaN where A is not
+    positive definite.
+    """
+    f = _factors(A)
     with np.errstate(divide="ignore", invalid="ignore"):
-        l10, l20 = A[..., 1, 0] / d0, A[..., 2, 0] / d0
-        d1 = A[..., 1, 1] - l10 * A[..., 1, 0]
-        e = A[..., 2, 1] - l20 * A[..., 1, 0]
-        l21 = e / d1
-        d2 = A[..., 2, 2] - l20 * A[..., 2, 0] - l21 * e
-        y1 = g[..., 1] - l10 * g[..., 0]
-        y2 = g[..., 2] - l20 * g[..., 0] - l21 * y1
-        z = y2 / d2
-        y = y1 / d1 - l21 * z
-        x = g[..., 0] / d0 - l10 * y - l20 * z
-    sound = (d0 > 0) & (d1 > SINGULAR * A[..., 1, 1]) & (d2 > SINGULAR * A[..., 2, 2])
-    return np.where(sound[..., None], np.stack([x, y, z], axis=-1), np.nan)
+        y1 = g[..., 1] - f.l10 * g[..., 0]
+        y2 = g[..., 2] - f.l20 * g[..., 0] - f.l21 * y1
+        z = y2 / f.d2
+        y = y1 / f.d1 - f.l21 * z
+        x = g[..., 0] / f.d0 - f.l10 * y - f.l20 * z
+    return np.where(f.sound[..., None], np.stack([x, y, z], axis=-1), np.nan)
+
+
+def inverse(A: Array) -> Array:
+    """A^-1 (..., 3, 3) of symmetric A (..., 3, 3), symmetric; NaN where A is not positive
+    definite.
+    """
+    f = _factors(A)
+    found = np.empty(A.shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        m20 = f.l10 * f.l21 - f.l20
+        i0, i1, i2 = (np.where(f.sound, 1.0 / d, np.nan) for d in (f.d0, f.d1, f.d2))
+        found[..., 0, 0] = i0 + f.l10 * f.l10 * i1 + m20 * m20 * i2
+        found[..., 1, 0] = found[..., 0, 1] = -f.l10 * i1 - m20 * f.l21 * i2
+        found[..., 1, 1] = i1 + f.l21 * f.l21 * i2
+        found[..., 2, 0] = found[..., 0, 2] = m20 * i2
+        found[..., 2, 1] = found[..., 1, 2] = -f.l21 * i2
+        found[..., 2, 2] = i2
+    return found
 
 
 def cholesky(A: Array) -> Array:

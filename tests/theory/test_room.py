@@ -15,7 +15,8 @@ from aoabench.engine.tiles import Draws, simulate
 from aoabench.errors import BadValue, UserError
 from aoabench.estimators.anchors import AnchorMean, BestAnchor, RssiAnchor, SingleAnchor
 from aoabench.estimators.lines import AnchorDiscarding, LineLeastSquares
-from aoabench.estimators.plane import directions, on_plane
+from aoabench.estimators.plane import on_plane
+from aoabench.estimators.rays import directions
 from aoabench.estimators.vmf_likelihood import VmfLikelihood
 from aoabench.maths.geometry import euler, facing, in_frames, to_azel, wrap
 from aoabench.noise.multipath import BleMultipath
