@@ -13,6 +13,7 @@ changes the estimate (L6).
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
@@ -26,6 +27,7 @@ from aoabench.estimators.rays import (
     extent,
     judged,
     measured_reason,
+    off_the_poles,
     rays,
     residual_variance,
 )
@@ -73,9 +75,22 @@ class LeastSquares(Compiled, Estimator):
         the residuals give.
         """
         compiled = self.compiled(batch.anchors)
+        turned, at_pole = off_the_poles(batch)
+        if self.rows == "printed":
+            turned, at_pole = batch, np.zeros_like(at_pole)
         if compiled is None:
-            return planes(batch, self.rows)
-        return by_kernel(compiled, batch, self.rows)
+            return planes(turned, self.rows)
+        found = by_kernel(compiled, batch, self.rows)
+        return replaced(found, planes(turned, self.rows), at_pole) if at_pole.any() else found
+
+
+def replaced(found: Estimates, others: Estimates, fixes: np.ndarray) -> Estimates:
+    """The estimates with some `fixes`, a mask (R, T), taken from others."""
+    for f in dataclasses.fields(Estimates):
+        into, value = getattr(found, f.name), getattr(others, f.name)
+        if into is not None:
+            into[fixes] = value[fixes]
+    return found
 
 
 def by_kernel(
@@ -204,7 +219,9 @@ def _covariance(
     e = (a @ offset[..., None])[..., 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         va, ve = np.where(one, 1.0 / wa, 0.0), np.where(two, 1.0 / we, 0.0)
-        squares = np.where(one, (e[..., 0] / f) ** 2, 0.0) + np.where(two, (e[..., 1] / k) ** 2, 0)
+        e = e**2  # sin^2 of the residual angles
+        squares = np.where(one, e[..., 0] / (e[..., 0] + f**2), 0.0)
+        squares += np.where(two, e[..., 1] / (e[..., 1] + k**2), 0.0)
     by_azimuth = f[..., None] * a[..., 0, :] + h[..., None] * a[..., 1, :]
     by_elevation = k[..., None] * a[..., 1, :]
     M = np.einsum("rtb,rtbi,rtbj->rtij", va, by_azimuth, by_azimuth)

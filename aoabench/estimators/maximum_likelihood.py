@@ -22,7 +22,7 @@ that its ray has azimuth and elevation 0 (`off_the_poles`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from aoabench.estimators.least_squares import (
     by_kernel,
     measured,
     planes,
+    replaced,
     rows_param,
     stated,
     usable,
@@ -97,13 +98,7 @@ class GaussNewton(Compiled, Estimator):
         variant = AZIMUTHS.index(self.azimuth), printed
         found = by_kernel(compiled, batch, self.start, variant, self.tolerance_m, self.updates)
         turned, at_pole = off_the_poles(batch)
-        if at_pole.any():
-            other = self.in_numpy(turned)
-            for f in fields(Estimates):
-                into, value = getattr(found, f.name), getattr(other, f.name)
-                if into is not None:
-                    into[at_pole] = value[at_pole]
-        return found
+        return replaced(found, self.in_numpy(turned), at_pole) if at_pole.any() else found
 
     def in_numpy(self, batch: Batch) -> Estimates:
         """The estimates of a tile in NumPy."""

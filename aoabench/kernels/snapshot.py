@@ -125,7 +125,8 @@ def spread_of_planes(rows, stated, freedom, x, y, z, wa, we, s, R, trig, P):
         ve = k * k / we[j] if two > 0.0 else 0.0
         e = ax * dx + ay * dy + az * dz
         g = bx * dx + by * dy + bz * dz
-        squares += (e * e / (f * f) if one > 0.0 else 0.0) + (g * g / (k * k) if two > 0.0 else 0.0)
+        squares += e * e / (e * e + f * f) if one > 0.0 else 0.0  # sin^2 of the residual angle
+        squares += g * g / (g * g + k * k) if two > 0.0 else 0.0
         a00 += ax * ax + bx * bx
         a10 += ax * ay + bx * by
         a11 += ay * ay + by * by
