@@ -47,8 +47,11 @@ class Rays(NamedTuple):
 
 
 def rays(batch: Batch) -> Rays:
-    """The measured rays of a batch."""
-    azimuth, elevation = np.isfinite(batch.azimuth), np.isfinite(batch.elevation)
+    """The measured rays of a batch; an angle whose stated deviation is not a positive number counts
+    as not measured.
+    """
+    azimuth = np.isfinite(batch.azimuth) & _usable(batch.azimuth_sigma)
+    elevation = np.isfinite(batch.elevation) & _usable(batch.elevation_sigma)
     phi = np.where(azimuth, batch.azimuth, 0.0)
     plane = azimuth & ~elevation
     u = to_unit(phi, np.where(azimuth & elevation, batch.elevation, 0.0))
@@ -58,6 +61,14 @@ def rays(batch: Batch) -> Rays:
         n = np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=-1)
         normal = np.where(plane[..., None], _turned(n, batch.anchors.rotation), 0.0)
     return Rays(ahead, azimuth & elevation, plane, normal)
+
+
+def _usable(sigma: Array | None) -> np.ndarray | bool:
+    """Where a stated deviation is finite and above 0; True without one."""
+    if sigma is None:
+        return True
+    with np.errstate(invalid="ignore"):
+        return np.isfinite(sigma) & (sigma > 0)
 
 
 def _turned(u: Array, rotation: Array) -> Array:

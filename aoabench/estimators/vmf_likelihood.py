@@ -31,7 +31,7 @@ from aoabench.estimators.rays import (
     residual_variance,
 )
 from aoabench.maths.geometry import Array
-from aoabench.maths.linalg import inverse, solve
+from aoabench.maths.linalg import EPS, inverse, solve
 from aoabench.params import param
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
@@ -94,12 +94,10 @@ class VmfLikelihood(Estimator):
         r = rays(batch)
         r = r.of(r.line)  # an azimuth alone is no direction
         stated = batch.azimuth_sigma
-        with np.errstate(divide="ignore"):
-            w = r.line * (1.0 if stated is None else 1.0 / np.square(stated))
-        known = r.line & np.isfinite(w) & (w > 0)
-        r, w = r.of(known), np.where(known, w, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            w = np.where(r.line, 1.0 if stated is None else 1.0 / np.square(stated), 0.0)
         start = nearest_point(r, s).position
-        distinct = apart(s, known)
+        distinct = apart(s, r.line)
         if height is not None:
             start = self._on_plane(r, batch, start, scenario, height)
             distinct = np.ones_like(distinct)
@@ -214,8 +212,9 @@ class VmfLikelihood(Estimator):
             if not len(left):
                 break
             A, g = _normal_equations(p[left], d[left], w[left], s[left], free)
-            A[:, range(3), range(3)] *= 1.0 + damping[left, None]
-            step = solve(A, g)
+            damped = A.copy()
+            damped[:, range(3), range(3)] *= 1.0 + damping[left, None]
+            step = solve(damped, g)
             tried = p[left] + step
             new = _expected(tried, d[left], w[left], s[left])[2]
             count[left] += 1
@@ -228,9 +227,14 @@ class VmfLikelihood(Estimator):
             singular = np.isnan(length)
             outcome[left[lost]], reason[left[lost]] = Outcome.DIVERGED, Reason.TOO_FAR
             reason[left[singular]] = Reason.NO_DESCENT
-            done = left[~lost & (length < self.tolerance_m)]
-            outcome[done], reason[done] = Outcome.OK, Reason.NONE
-            left = left[~lost & (length >= self.tolerance_m)]
+            converged = ~lost & (length < self.tolerance_m)
+            near = np.flatnonzero(converged)  # damping alone makes a step short, too
+            full = solve(A[near], g[near])
+            gain = (full * g[near]).sum(axis=-1)  # beyond rounding of the cost, or else converged
+            short = np.linalg.norm(full, axis=-1) < self.tolerance_m
+            converged[near] = short | (gain <= 16 * EPS * cost[left[near]])
+            outcome[left[converged]], reason[left[converged]] = Outcome.OK, Reason.NONE
+            left = left[~lost & ~converged]
         return Minimum(p, outcome, count, cost, reason)
 
 
@@ -243,6 +247,7 @@ def _normal_equations(p: Array, d: Array, w: Array, s: Array, free: bool) -> tup
     A = (J * (np.eye(3) - u[..., :, None] * u[..., None, :])).sum(axis=1)
     if not free:
         A[:, 2, :2] = A[:, :2, 2] = g[:, 2] = 0.0
+        A[:, 2, 2] = A[:, 0, 0] + A[:, 1, 1]
     return A, g
 
 
