@@ -21,10 +21,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from aoabench.estimators.rays import (
-    FAR,
     apart,
     behind,
-    extent,
     judged,
     measured_reason,
     off_the_poles,
@@ -112,7 +110,6 @@ def by_kernel(
     options = (*variant, ROWS.index(rows), stated(batch), tolerance, updates)
     position, rotation = batch.anchors.frames
     centre = position.mean(axis=1, keepdims=True)  # (R|1, 1, 3)
-    far = FAR * extent(batch.anchors.position)[:, 0]
     # padded with the last anchor: an anchor of zeros would have angles of NaN
     s = padded(np.swapaxes(position - centre, 1, 2), compiled.LANES, "edge")
     rotation = padded(np.moveaxis(rotation, 1, -1), compiled.LANES, "edge")
@@ -120,7 +117,7 @@ def by_kernel(
         j, k = min(i, len(s) - 1), min(i, len(rotation) - 1)
         given = phi[i], theta[i], wa[i], we[i], s[j], rotation[k]
         into = x[i], P[i], outcome[i], reason[i], count[i], used[i]
-        compiled.gauss_newton(*options, far[j], *given, *into)
+        compiled.gauss_newton(*options, *given, *into)
     iterations = count if updates else None
     return Estimates(x + centre, P, iterations, outcome, None, used, reason)
 

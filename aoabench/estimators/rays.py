@@ -90,10 +90,10 @@ def off_the_poles(batch: Batch) -> tuple[Batch, np.ndarray]:
     any azimuth may stand beside it. In a frame whose x axis is the pole, azimuth and elevation of
     the ray are 0, and both have the elevation's deviation.
     """
-    with np.errstate(invalid="ignore"):
-        at_pole = np.abs(np.abs(batch.elevation) - np.pi / 2) < POLE
-    if not at_pole.any():
-        return batch, np.asarray(at_pole.any(axis=-1))
+    steep = np.abs(batch.elevation)
+    if not (steep > np.pi / 2 - POLE).any():
+        return batch, np.zeros(steep.shape[:2], dtype=bool)
+    at_pole = np.abs(steep - np.pi / 2) < POLE
     up = np.sign(batch.elevation[..., None])
     x, y, z = np.moveaxis(np.broadcast_to(batch.anchors.rotation, (*at_pole.shape, 3, 3)), -2, 0)
     turned = np.stack([up * z, y, -up * x], axis=-2)

@@ -37,16 +37,16 @@ LANES = 4
 ARCTAN, ATAN2, KCORR = range(3)  # what an azimuth's difference means
 CORRECTED, SIGN, SWAPPED = range(3)  # errata as printed
 PRINTED, INVARIANT = range(2)  # the elevation's rows
-SP, CP, ST, CT = range(4)  # rows of trig: sines and cosines of azimuth and elevation
 SAME_PLACE = 1e-12  # as in maths.linalg
+FAR = 1e6  # as in estimators.rays
 FLOOR = 1e-8  # rad^2: PRECISION^2 of estimators.rays
 UNKNOWN = math.nan
 
 
 @inlined
-def planes(rows, phi, theta, wa, we, s, R, trig):
+def planes(rows, phi, theta, wa, we, s, R):
     """Least-squares position of one fix from its angles (B,), relative to the origin of s (3, B); R
-    (3, 3, B); fills trig (4, B).
+    (3, 3, B).
 
     Also returns whether the equations determine it, the number of anchors that measured, whether
     these stand in more than one place (planes through one place meet there for all measurements),
@@ -57,7 +57,6 @@ def planes(rows, phi, theta, wa, we, s, R, trig):
     for j in range(len(phi)):
         sp, cp = sine_cosine(phi[j])
         st, ct = sine_cosine(theta[j])
-        trig[SP, j], trig[CP, j], trig[ST, j], trig[CT, j] = sp, cp, st, ct
         first = 1.0 if wa[j] > 0.0 else 0.0
         x = first * (R[0, 0, j] * sp - R[1, 0, j] * cp)
         y = first * (R[0, 1, j] * sp - R[1, 1, j] * cp)
@@ -92,17 +91,18 @@ def planes(rows, phi, theta, wa, we, s, R, trig):
 
 
 @inlined
-def spread_of_planes(rows, stated, freedom, x, y, z, wa, we, s, R, trig, P):
-    """Covariance of the least-squares position (x, y, z) into P (3, 3): A^-1 M A^-1, where M is the
-    covariance of the equations' right side.
+def spread_of_planes(rows, stated, freedom, x, y, z, phi, theta, wa, we, s, R, P):
+    """Covariance of the least-squares position (x, y, z) into P (3, 3), A^-1 M A^-1, where M is the
+    covariance of the equations' right side; and whether the position lies behind an anchor.
 
     The rows a, b of an anchor change with its angles: the azimuth moves a by f and b by h, the
     elevation b by k. M sums var_a (f a + h b) (f a + h b)^T + var_e k^2 b b^T.
     """
     a00 = a10 = a11 = a20 = a21 = a22 = 0.0
-    m00 = m10 = m11 = m20 = m21 = m22 = squares = 0.0
-    for j in range(wa.shape[0]):
-        sp, cp, st, ct = trig[SP, j], trig[CP, j], trig[ST, j], trig[CT, j]
+    m00 = m10 = m11 = m20 = m21 = m22 = squares = back = 0.0
+    for j in range(len(phi)):
+        sp, cp = sine_cosine(phi[j])
+        st, ct = sine_cosine(theta[j])
         dx, dy, dz = x - s[0, j], y - s[1, j], z - s[2, j]
         u = R[0, 0, j] * dx + R[0, 1, j] * dy + R[0, 2, j] * dz
         v = R[1, 0, j] * dx + R[1, 1, j] * dy + R[1, 2, j] * dz
@@ -125,6 +125,7 @@ def spread_of_planes(rows, stated, freedom, x, y, z, wa, we, s, R, trig, P):
         ve = k * k / we[j] if two > 0.0 else 0.0
         e = ax * dx + ay * dy + az * dz
         g = bx * dx + by * dy + bz * dz
+        back += 1.0 if (one > 0.0) & ((ct * f + st * w if two > 0.0 else f) < 0.0) else 0.0
         squares += e * e / (e * e + f * f) if one > 0.0 else 0.0  # sin^2 of the residual angle
         squares += g * g / (g * g + k * k) if two > 0.0 else 0.0
         a00 += ax * ax + bx * bx
@@ -167,6 +168,7 @@ def spread_of_planes(rows, stated, freedom, x, y, z, wa, we, s, R, trig, P):
         t20 * i10 + t21 * i11 + t22 * i21,
         t20 * i20 + t21 * i21 + t22 * i22,
     )
+    return back > 0.0
 
 
 @inlined
@@ -185,16 +187,18 @@ def fill(P, c, p00, p10, p11, p20, p21, p22):
 
 
 @inlined
-def is_behind(x, y, z, wa, we, s, R, trig):
+def is_behind(x, y, z, phi, theta, wa, we, s, R):
     """Whether (x, y, z) lies behind an anchor that measured: u . (p - s) < 0 for its ray u."""
     back = 0.0
-    for j in range(wa.shape[0]):
+    for j in range(len(phi)):
+        sp, cp = sine_cosine(phi[j])
+        st, ct = sine_cosine(theta[j])
         dx, dy, dz = x - s[0, j], y - s[1, j], z - s[2, j]
         u = R[0, 0, j] * dx + R[0, 1, j] * dy + R[0, 2, j] * dz
         v = R[1, 0, j] * dx + R[1, 1, j] * dy + R[1, 2, j] * dz
         w = R[2, 0, j] * dx + R[2, 1, j] * dy + R[2, 2, j] * dz
-        flat = trig[CP, j] * u + trig[SP, j] * v
-        ahead = trig[CT, j] * flat + trig[ST, j] * w if we[j] > 0.0 else flat
+        flat = cp * u + sp * v
+        ahead = ct * flat + st * w if we[j] > 0.0 else flat
         back += 1.0 if (wa[j] > 0.0) & (ahead < 0.0) else 0.0
     return back > 0.0
 
@@ -257,7 +261,6 @@ def update(azimuth, printed, x, y, z, phi, theta, wa, we, s, R):
         types.intp,
         types.float64,
         types.intp,
-        types.float64,
         *(given(d) for d in (2, 2, 2, 2, 2, 3)),
         types.float64[:, ::1],
         types.float64[:, :, ::1],
@@ -267,7 +270,7 @@ def update(azimuth, printed, x, y, z, phi, theta, wa, we, s, R):
     )
 )
 def gauss_newton(
-    azimuth, printed, rows, stated, tolerance, updates, far, phi, theta, wa, we, s, R, x, P,
+    azimuth, printed, rows, stated, tolerance, updates, phi, theta, wa, we, s, R, x, P,
     outcome, reason, count, used,
 ):  # fmt: skip
     """Position x (N, 3), covariance P (N, 3, 3), outcome, reason, number of updates and of anchors
@@ -275,13 +278,16 @@ def gauss_newton(
 
     wa, we (N, B): 1 / variance, 0 where not measured (the angle is then any number); s (3, B)
     anchors relative to the origin, R (3, 3, B). `updates` = 0: least squares alone. `stated`: the
-    variances are stated; else the residuals give one. `far`: distance from the origin beyond which
-    a fix has diverged.
+    variances are stated; else the residuals give one. Beyond FAR times the largest distance of an
+    anchor from the origin, a fix has diverged.
     """
-    trig = np.empty((4, phi.shape[1]))
+    far2 = 0.0
+    for j in range(s.shape[1]):
+        far2 = max(far2, s[0, j] * s[0, j] + s[1, j] * s[1, j] + s[2, j] * s[2, j])
+    far2 *= FAR * FAR
     for n in range(len(phi)):
         a, b, c, sound, anchors, distinct, angles = planes(
-            rows, phi[n], theta[n], wa[n], we[n], s, R, trig
+            rows, phi[n], theta[n], wa[n], we[n], s, R
         )
         x[n, 0], x[n, 1], x[n, 2], outcome[n], count[n] = a, b, c, OK, 0
         reason[n], used[n] = NONE, anchors
@@ -299,7 +305,7 @@ def gauss_newton(
                     azimuth, printed, a, b, c, phi[n], theta[n], wa[n], we[n], s, R
                 )
                 a, b, c, count[n] = a + da, b + db, c + dc, u + 1
-                if not (sound and a * a + b * b + c * c <= far * far):
+                if not (sound and a * a + b * b + c * c <= far2):
                     outcome[n], reason[n] = DIVERGED, TOO_FAR if sound else NO_DESCENT
                     break
                 if da * da + db * db + dc * dc < tolerance * tolerance:
@@ -308,7 +314,10 @@ def gauss_newton(
                     fill(P[n], v, *inverse(A[0], A[1], A[2], A[3], A[4], A[5]))
                     break
         a, b, c = x[n, 0], x[n, 1], x[n, 2]
+        one = phi[n], theta[n], wa[n], we[n], s, R
         if updates == 0 or outcome[n] != OK:
-            spread_of_planes(rows, stated, angles - 3.0, a, b, c, wa[n], we[n], s, R, trig, P[n])
-        if outcome[n] == OK and is_behind(a, b, c, wa[n], we[n], s, R, trig):
+            back = spread_of_planes(rows, stated, angles - 3.0, a, b, c, *one, P[n])
+        else:
+            back = is_behind(a, b, c, *one)
+        if back and outcome[n] == OK:
             outcome[n], reason[n] = DIVERGED, BEHIND
