@@ -201,7 +201,9 @@ def _covariance(
     """Covariances (R, T, 3, 3) m^2 of the positions p, A^-1 M A^-1.
 
     e = a (p - s) are the residuals of the rows a; M sums b b^T var over the angles, with b the
-    derivative of e by the angle times its row a.
+    derivative of e by the angle times its row a. Without stated variances, the residuals e / k of m
+    angles give one, where k are the derivatives of e by its own angle: with C the covariance for
+    variance 1, sum (e / k)^2 has the mean variance (m - 6 + tr(C sum a a^T / k^2)).
     """
     phi, theta, wa, we = given
     offset = p[:, :, None] - batch.anchors.position
@@ -226,5 +228,9 @@ def _covariance(
     P = inverse(A) @ M @ inverse(A)
     if stated(batch):
         return np.asarray(P)
-    angles = one.sum(axis=-1) + (we > 0).sum(axis=-1)
-    return np.asarray(P * residual_variance(squares.sum(axis=-1), angles - 3)[..., None, None])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = np.stack([np.where(one, 1 / f**2, 0.0), np.where(two, 1 / k**2, 0.0)], axis=-1)
+    N = np.einsum("rtbk,rtbki,rtbkj->rtij", over, a, a)
+    number = one.sum(axis=-1) + two.sum(axis=-1)
+    freedom = np.where(number > 3, number - 6 + (P * N).sum(axis=(-1, -2)), 0.0)
+    return np.asarray(P * residual_variance(squares.sum(axis=-1), freedom)[..., None, None])

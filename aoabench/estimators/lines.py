@@ -58,10 +58,8 @@ def nearest_point(r: Rays, s: Array) -> Nearest:
     centre = s.mean(axis=2, keepdims=True)
     s = s - centre
     v = np.where(r.plane[..., None], r.normal, r.ahead)
-    sign = r.plane.astype(float) - r.line
-    A = np.swapaxes(sign[..., None] * v, -1, -2) @ v
-    A[..., range(3), range(3)] += r.line.sum(axis=-1)[..., None]
-    along = sign * (v * s).sum(axis=-1)
+    A = _sum(r, r.used.astype(float))
+    along = (r.plane.astype(float) - r.line) * (v * s).sum(axis=-1)
     g = (r.line[..., None] * s + along[..., None] * v).sum(axis=2)
     level = ~r.line.any(axis=-1) & (A[..., 2, 2] <= 1e-12 * (A[..., 0, 0] + A[..., 1, 1]))
     A[..., 2, 2] += level
@@ -85,9 +83,10 @@ def covariances(batch: Batch, r: Rays, found: Nearest, d: Array) -> Array:
     """Covariances (R, T, 3, 3) m^2 of the nearest points, A^-1 (sum_i sigma_i^2 r_i^2 P_i) A^-1.
 
     A line's point is displaced by sigma_i r_i across the line, at the distance r_i from the anchor;
-    a plane's by sigma_i times the distance from the anchor's axis. sigma_i are the stated
-    deviations, or one deviation from the residuals d (R, T, B) m. NaN where z is not determined or
-    the residuals have no degree of freedom.
+    a plane's by sigma_i times the distance r_i from the anchor's axis. sigma_i are the stated
+    deviations, or one deviation from the residuals d (R, T, B) m: with C the covariance for
+    sigma = 1 and m rows, sum d_i^2 / r_i^2 has the mean sigma^2 (m - 6 + tr(C sum P_i / r_i^2)).
+    NaN where z is not determined or the residuals have no degree of freedom.
     """
     s = batch.anchors.position
     away = np.where(np.isnan(found.position), 0.0, found.position)[:, :, None] - s
@@ -95,20 +94,28 @@ def covariances(batch: Batch, r: Rays, found: Nearest, d: Array) -> Array:
     if r.plane.any():
         axis = batch.anchors.rotation[..., 2, :]
         squared = np.where(r.plane, squared - (axis * away).sum(axis=-1) ** 2, squared)
-    variance = angular_variance(batch, r)
-    if variance is None:
+    variance, inner = angular_variance(batch, r), inverse(found.normal)
+    if variance is not None:
+        P = inner @ _sum(r, np.where(r.used, variance * squared, 0.0)) @ inner
+    else:
+        P = inner @ _sum(r, np.where(r.used, squared, 0.0)) @ inner
         with np.errstate(invalid="ignore", divide="ignore"):
-            squares = np.where(r.used & (squared > 0), d**2 / squared, 0.0).sum(axis=-1)
-        freedom = 2 * r.line.sum(axis=-1) + r.plane.sum(axis=-1) - 3 + found.level
-        variance = residual_variance(squares, freedom)[..., None]
-    weight = np.where(r.used, variance * squared, 0.0)
-    v = np.where(r.plane[..., None], r.normal, r.ahead)
-    M = np.swapaxes((weight * (r.plane.astype(float) - r.line))[..., None] * v, -1, -2) @ v
-    M[..., range(3), range(3)] += (weight * r.line).sum(axis=-1)[..., None]
-    inner = inverse(found.normal)
-    P = inner @ M @ inner
+            over = np.where(r.used & (squared > 0), 1.0 / squared, 0.0)
+        unknowns = 3 - found.level
+        rows = 2 * r.line.sum(axis=-1) + r.plane.sum(axis=-1)
+        used_up = 2 * unknowns - (P * _sum(r, over)).sum(axis=(-1, -2)) + found.level
+        freedom = np.where(rows > unknowns, rows - used_up, 0.0)
+        P *= residual_variance((d**2 * over).sum(axis=-1), freedom)[..., None, None]
     P[found.level, 2, :] = P[found.level, :, 2] = np.nan
     return P
+
+
+def _sum(r: Rays, weight: Array) -> Array:
+    """Sums (R, T, 3, 3) of the rays' projectors with weights (R, T, B), 0 where not used."""
+    v = np.where(r.plane[..., None], r.normal, r.ahead)
+    A = np.swapaxes((weight * (r.plane.astype(float) - r.line))[..., None] * v, -1, -2) @ v
+    A[..., range(3), range(3)] += (weight * r.line).sum(axis=-1)[..., None]
+    return A
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from aoabench.estimators.plane import clipped, on_plane, plane_of
 from aoabench.estimators.rays import (
     FAR,
     Rays,
+    angular_variance,
     apart,
     behind,
     extent,
@@ -60,8 +61,8 @@ class VmfLikelihood(Estimator):
     `updates`; DIVERGED behind an anchor, or farther from the anchors' centre than FAR times their
     extent; FAILED without a start. A start needs two anchors in different places, or one if the
     height is known. The score is the root mean square angle in rad between measured and expected
-    directions. The covariance is the inverse Fisher information, with stated deviations or with one
-    deviation from the residuals.
+    directions. The covariance follows from the stated deviations of both angles, or from one
+    deviation that the residuals give.
     """
 
     height_m: float | str | None = param(
@@ -145,10 +146,10 @@ class VmfLikelihood(Estimator):
         outcome[back], reason[back] = Outcome.DIVERGED, Reason.BEHIND
         score = np.sqrt(2 * cost / np.where(total > 0, total, 1.0))
         free = 2 * n - (3 if height is None else 2)
-        scale = np.ones(shape)
-        if batch.azimuth_sigma is None:
-            scale = residual_variance(2 * cost, free)
-        P = self._covariance(p, r, w, s, height is None) * scale[..., None, None]
+        variance = angular_variance(batch, r)
+        if variance is None:
+            variance = residual_variance(2 * cost, free)[..., None]
+        P = self._covariance(p, w, variance, s, height is None)
         position = np.concatenate([clipped(p[..., :2], scenario, self.clip), p[..., 2:]], axis=-1)
         if height is not None:
             position[..., 2] = np.nan
@@ -162,19 +163,26 @@ class VmfLikelihood(Estimator):
             reason.astype(np.int8),
         )
 
-    def _covariance(self, p: Array, r: Rays, w: Array, s: Array, free: bool) -> Array:
-        """Inverse Fisher information (R, T, 3, 3) m^2 for kappa = w: (sum w (I - u u^T) / r^2)^-1;
-        z is left out (NaN) unless `free`.
+    def _covariance(self, p: Array, w: Array, variance: Array, s: Array, free: bool) -> Array:
+        """Covariances (R, T, 3, 3) m^2 of the minima, from angular variances (R, T, B|1) rad^2.
+
+        J^-1 (sum w^2 var (I - u u^T) / r^2) J^-1 with J = sum w (I - u u^T) / r^2; z is left out
+        (NaN) unless `free`.
         """
         u = p[:, :, None] - s
         squared = np.maximum((u**2).sum(axis=-1), 1e-18)
-        v = u * (np.sqrt(w) / squared)[..., None]
-        J = -np.swapaxes(v, -1, -2) @ v
-        J[..., range(3), range(3)] += (w / squared).sum(axis=-1)[..., None]
-        if not free:
-            J[..., 2, :] = J[..., :, 2] = 0.0
-            J[..., 2, 2] = J[..., 0, 0] + J[..., 1, 1]
-        P = inverse(J)
+        u = u / np.sqrt(squared)[..., None]
+
+        def total(weight: Array) -> Array:
+            J = -np.swapaxes(weight[..., None] * u, -1, -2) @ u
+            J[..., range(3), range(3)] += weight.sum(axis=-1)[..., None]
+            if not free:
+                J[..., 2, :] = J[..., :, 2] = 0.0
+                J[..., 2, 2] = J[..., 0, 0] + J[..., 1, 1]
+            return J
+
+        inner = inverse(total(w / squared))
+        P = inner @ total(np.where(w > 0, w**2 * variance, 0.0) / squared) @ inner
         if not free:
             P[..., 2, :] = P[..., :, 2] = np.nan
         return P
@@ -230,9 +238,10 @@ class VmfLikelihood(Estimator):
             converged = ~lost & (length < self.tolerance_m)
             near = np.flatnonzero(converged)  # damping alone makes a step short, too
             full = solve(A[near], g[near])
-            gain = (full * g[near]).sum(axis=-1)  # beyond rounding of the cost, or else converged
+            gain = (full * g[near]).sum(axis=-1)
+            rounding = 16 * EPS * np.sqrt(2 * cost[left[near]] * w[left[near]].sum(axis=-1))
             short = np.linalg.norm(full, axis=-1) < self.tolerance_m
-            converged[near] = short | (gain <= 16 * EPS * cost[left[near]])
+            converged[near] = short | (gain <= rounding)
             outcome[left[converged]], reason[left[converged]] = Outcome.OK, Reason.NONE
             left = left[~lost & ~converged]
         return Minimum(p, outcome, count, cost, reason)

@@ -91,15 +91,17 @@ def planes(rows, phi, theta, wa, we, s, R):
 
 
 @inlined
-def spread_of_planes(rows, stated, freedom, x, y, z, phi, theta, wa, we, s, R, P):
+def spread_of_planes(rows, stated, x, y, z, phi, theta, wa, we, s, R, P):
     """Covariance of the least-squares position (x, y, z) into P (3, 3), A^-1 M A^-1, where M is the
     covariance of the equations' right side; and whether the position lies behind an anchor.
 
     The rows a, b of an anchor change with its angles: the azimuth moves a by f and b by h, the
-    elevation b by k. M sums var_a (f a + h b) (f a + h b)^T + var_e k^2 b b^T.
+    elevation b by k. M sums var_a (f a + h b) (f a + h b)^T + var_e k^2 b b^T. N sums a a^T / f^2 +
+    b b^T / k^2; it gives the residuals' degrees of freedom.
     """
     a00 = a10 = a11 = a20 = a21 = a22 = 0.0
     m00 = m10 = m11 = m20 = m21 = m22 = squares = back = 0.0
+    n00 = n10 = n11 = n20 = n21 = n22 = angles = 0.0
     for j in range(len(phi)):
         sp, cp = sine_cosine(phi[j])
         st, ct = sine_cosine(theta[j])
@@ -135,13 +137,21 @@ def spread_of_planes(rows, stated, freedom, x, y, z, phi, theta, wa, we, s, R, P
         a21 += ay * az + by * bz
         a22 += az * az + bz * bz
         cx, cy, cz = f * ax + h * bx, f * ay + h * by, f * az + h * bz
+        i = one / (f * f) if one > 0.0 else 0.0
+        l = two / (k * k) if two > 0.0 else 0.0
+        angles += one + two
+        n00 += i * ax * ax + l * bx * bx
+        n10 += i * ax * ay + l * bx * by
+        n11 += i * ay * ay + l * by * by
+        n20 += i * ax * az + l * bx * bz
+        n21 += i * ay * az + l * by * bz
+        n22 += i * az * az + l * bz * bz
         m00 += va * cx * cx + ve * bx * bx
         m10 += va * cx * cy + ve * bx * by
         m11 += va * cy * cy + ve * by * by
         m20 += va * cx * cz + ve * bx * bz
         m21 += va * cy * cz + ve * by * bz
         m22 += va * cz * cz + ve * bz * bz
-    c = 1.0 if stated else scale(squares, freedom)
     i00, i10, i11, i20, i21, i22 = inverse(a00, a10, a11, a20, a21, a22)
     t00, t01, t02 = (
         i00 * m00 + i10 * m10 + i20 * m20,
@@ -158,16 +168,19 @@ def spread_of_planes(rows, stated, freedom, x, y, z, phi, theta, wa, we, s, R, P
         i20 * m10 + i21 * m11 + i22 * m21,
         i20 * m20 + i21 * m21 + i22 * m22,
     )
-    fill(
-        P,
-        c,
+    p00, p10, p11 = (
         t00 * i00 + t01 * i10 + t02 * i20,
         t10 * i00 + t11 * i10 + t12 * i20,
         t10 * i10 + t11 * i11 + t12 * i21,
+    )
+    p20, p21, p22 = (
         t20 * i00 + t21 * i10 + t22 * i20,
         t20 * i10 + t21 * i11 + t22 * i21,
         t20 * i20 + t21 * i21 + t22 * i22,
     )
+    freedom = p00 * n00 + p11 * n11 + p22 * n22 + 2.0 * (p10 * n10 + p20 * n20 + p21 * n21)
+    freedom = angles - 6.0 + freedom if angles > 3.0 else 0.0
+    fill(P, 1.0 if stated else scale(squares, freedom), p00, p10, p11, p20, p21, p22)
     return back > 0.0
 
 
@@ -316,7 +329,7 @@ def gauss_newton(
         a, b, c = x[n, 0], x[n, 1], x[n, 2]
         one = phi[n], theta[n], wa[n], we[n], s, R
         if updates == 0 or outcome[n] != OK:
-            back = spread_of_planes(rows, stated, angles - 3.0, a, b, c, *one, P[n])
+            back = spread_of_planes(rows, stated, a, b, c, *one, P[n])
         else:
             back = is_behind(a, b, c, *one)
         if back and outcome[n] == OK:
