@@ -36,7 +36,11 @@ CENTRES = ("midpoint", "estimate")
 INTERSECTIONS = ("boxes", "exact")
 TIES = ("area", "first")
 MOST = 62  # anchors; the kernel stores a set as the bits of an integer
-REASONS = {Outcome.FAILED: Reason.NO_MEASUREMENT, Outcome.REJECTED: Reason.NO_AGREEMENT}
+REASONS = {
+    Outcome.FAILED: Reason.NO_MEASUREMENT,
+    Outcome.REJECTED: Reason.NO_AGREEMENT,
+    Outcome.DIVERGED: Reason.BEHIND,
+}
 LEAST_AXIS = 1e-6  # m; so that an ellipse has an interior
 EVEN = 1e-9  # ratios (19) that differ by less are taken as equal
 
@@ -105,7 +109,7 @@ class Discrepancy(Compiled, Estimator):
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix; outcome REJECTED if fewer than two ellipses agree, FAILED if no
-        anchor measured.
+        anchor measured, DIVERGED behind an anchor of those that agree.
         """
         height = plane_of(self.height_m, scenario)
         compiled = self.compiled(batch.anchors)
@@ -184,9 +188,10 @@ class Discrepancy(Compiled, Estimator):
         """
         position[:], covariance[:], outcome[:], used[:] = np.nan, np.nan, Outcome.FAILED, 0
         missing = ~(np.isfinite(azimuth) & np.isfinite(elevation))
-        m, L = self.ellipses_of(
-            np.where(missing, np.nan, azimuth), np.where(missing, 0, elevation), anchors, height
-        )
+        azimuth, elevation = (np.where(missing, 0.0, a) for a in (azimuth, elevation))
+        ahead = (to_unit(azimuth, elevation)[..., None, :] @ anchors.rotation[0])[..., 0, :]
+        s = np.broadcast_to(anchors.position[0], ahead.shape)
+        m, L = self.ellipses_of(np.where(missing, np.nan, azimuth), elevation, anchors, height)
         for k in range(len(m)):
             known = np.flatnonzero(~missing[k])
             if len(known):
@@ -194,6 +199,9 @@ class Discrepancy(Compiled, Estimator):
                 used[k], outcome[k] = len(chosen), Outcome.OK if len(chosen) else Outcome.REJECTED
                 if len(chosen):
                     position[k, :2], covariance[k, :2, :2] = fused(m[k, chosen], L[k, chosen])
+                    p = np.array([*position[k, :2], height])
+                    if (((p - s[k, chosen]) * ahead[k, chosen]).sum(axis=-1) < 0).any():
+                        outcome[k] = Outcome.DIVERGED
 
     def ellipses_of(
         self, azimuth: Array, elevation: Array, anchors: Anchors, height: float

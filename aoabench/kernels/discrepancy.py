@@ -15,11 +15,15 @@ from numba import types
 
 from aoabench.kernels.compile import called, given, inlined, kernel
 from aoabench.kernels.ellipses import (
+    AC,
+    AX,
+    AY,
     BLOCK,
     HX,
     HY,
     MX,
     MY,
+    ROWS,
     TOUCH,
     UNKNOWN,
     UX,
@@ -31,7 +35,7 @@ from aoabench.kernels.ellipses import (
     level,
     project,
 )
-from aoabench.kernels.small import FAILED, OK, REJECTED, ascending, has
+from aoabench.kernels.small import DIVERGED, FAILED, OK, REJECTED, ascending, has
 
 MOST = 62  # anchors that can vote: the bits of a set
 BOXES, EXACT, NO_VOTE = range(3)  # regions that must have a common point
@@ -72,7 +76,7 @@ def insert(M, sets, found):
 
 @inlined
 def common_boxes(n, e, masks, sets):
-    """Number of the largest sets of boxes of ellipses e (8, n) that have a common point.
+    """Number of the largest sets of boxes of ellipses e (ROWS, n) that have a common point.
 
     The sets go into `sets`; masks (2, V) is scratch. The lower left corner of a common box lies on
     the left side of one of the boxes and on the lower side of one of them.
@@ -130,7 +134,7 @@ def box_ratio(M, n, e, order, x):
 
 @called
 def common_ellipses(n, e, boxes, sets, points, number):
-    """Number of the largest sets of ellipses e (8, n) that have a common point.
+    """Number of the largest sets of ellipses e (ROWS, n) that have a common point.
 
     The sets go into `sets`. A common region has crossings as vertices, or it is a whole ellipse
     with its centre. Crossings are stored in points (2, V, V, 4) and counted in number (V, V). Only
@@ -257,7 +261,7 @@ def discrepancy(
     """
     N, J = azimuth.shape
     V = min(J, MOST)
-    block, e = np.empty((J, 8, BLOCK)), np.empty((8, J))
+    block, e = np.empty((J, ROWS, BLOCK)), np.empty((ROWS, J))
     angles = np.empty((2, BLOCK))
     masks, sets = np.empty((2, V), np.int64), np.empty(2 * V * V + 1, np.int64)
     order = np.empty(J, np.int64)
@@ -274,7 +278,7 @@ def discrepancy(
             n = 0
             for j in range(J):
                 if math.isfinite(block[j, MX, k]) and math.isfinite(block[j, MY, k]):
-                    for l in range(8):
+                    for l in range(ROWS):
                         e[l, n] = block[j, l, k]
                     n += 1
             M, found = -1, 1
@@ -304,4 +308,8 @@ def discrepancy(
                 position[i, 0], position[i, 1] = x, y
                 covariance[i, 0, 0], covariance[i, 0, 1] = xx, xy
                 covariance[i, 1, 0], covariance[i, 1, 1] = xy, yy
+                for j in range(n):
+                    ahead = e[AX, j] * x + e[AY, j] * y + e[AC, j]
+                    if (M < 0 or has(M, j, n)) and ahead < 0.0:
+                        outcome[i] = DIVERGED
                 used[i] = n if M < 0 else count(M)

@@ -14,8 +14,10 @@ from aoabench.kernels.small import ascending, has
 
 BLOCK = 64
 MIDPOINT, ESTIMATE = range(2)  # centre of an ellipse
-# rows of an ellipse: centre, direction of a, half-axes a and b, half sides of its box
-MX, MY, UX, UY, A, B, HX, HY = range(8)
+# rows of an ellipse: centre, direction of a, half-axes a and b, half sides of its box; and the
+# coefficients of u . (p - s) = AX x + AY y + AC, with the measured ray u of the anchor at s
+MX, MY, UX, UY, A, B, HX, HY, AX, AY, AC = range(11)
+ROWS = 11
 UNKNOWN, SAME = -2, -1  # in place of a number of crossings: not yet computed; equal ellipses
 
 TOUCH = 1e-9  # tolerance for rounding of a level of 1, as in estimators/ellipses.py
@@ -38,7 +40,7 @@ def on_plane(x, y, z, R, h, side, least):
 
 @inlined
 def project(centre, azimuth, elevation, s, R, to_plane, least, sines, minimum, e):
-    """Ellipses e (8, BLOCK) from angles (BLOCK,) rad of one anchor with position s (3,) m and
+    """Ellipses e (ROWS, BLOCK) from angles (BLOCK,) rad of one anchor with position s (3,) m and
     rotation R (3, 3).
 
     to_plane: height m of the plane above the anchor; minimum: lower limit m of the half-axes;
@@ -54,6 +56,7 @@ def project(centre, azimuth, elevation, s, R, to_plane, least, sines, minimum, e
         u = R[0, 0] * x + R[1, 0] * y + R[2, 0] * z
         v = R[0, 1] * x + R[1, 1] * y + R[2, 1] * z
         w = R[0, 2] * x + R[1, 2] * y + R[2, 2] * z
+        e[AX, k], e[AY, k], e[AC, k] = u, v, w * to_plane - u * s[0] - v * s[1]
         lowest = least * math.sqrt(u * u + v * v)
         low = side * w < lowest
         w = side * lowest

@@ -152,36 +152,42 @@ def spread_of_planes(rows, stated, x, y, z, phi, theta, wa, we, s, R, P):
         m20 += va * cx * cz + ve * bx * bz
         m21 += va * cy * cz + ve * by * bz
         m22 += va * cz * cz + ve * bz * bz
-    i00, i10, i11, i20, i21, i22 = inverse(a00, a10, a11, a20, a21, a22)
-    t00, t01, t02 = (
-        i00 * m00 + i10 * m10 + i20 * m20,
-        i00 * m10 + i10 * m11 + i20 * m21,
-        i00 * m20 + i10 * m21 + i20 * m22,
-    )
-    t10, t11, t12 = (
-        i10 * m00 + i11 * m10 + i21 * m20,
-        i10 * m10 + i11 * m11 + i21 * m21,
-        i10 * m20 + i11 * m21 + i21 * m22,
-    )
-    t20, t21, t22 = (
-        i20 * m00 + i21 * m10 + i22 * m20,
-        i20 * m10 + i21 * m11 + i22 * m21,
-        i20 * m20 + i21 * m21 + i22 * m22,
-    )
-    p00, p10, p11 = (
-        t00 * i00 + t01 * i10 + t02 * i20,
-        t10 * i00 + t11 * i10 + t12 * i20,
-        t10 * i10 + t11 * i11 + t12 * i21,
-    )
-    p20, p21, p22 = (
-        t20 * i00 + t21 * i10 + t22 * i20,
-        t20 * i10 + t21 * i11 + t22 * i21,
-        t20 * i20 + t21 * i21 + t22 * i22,
+    p00, p10, p11, p20, p21, p22 = sandwich(
+        inverse(a00, a10, a11, a20, a21, a22), m00, m10, m11, m20, m21, m22
     )
     freedom = p00 * n00 + p11 * n11 + p22 * n22 + 2.0 * (p10 * n10 + p20 * n20 + p21 * n21)
     freedom = angles - 6.0 + freedom if angles > 3.0 else 0.0
     fill(P, 1.0 if stated else scale(squares, freedom), p00, p10, p11, p20, p21, p22)
     return back > 0.0
+
+
+@inlined
+def sandwich(inner, m00, m10, m11, m20, m21, m22):
+    """The elements 00, 10, 11, 20, 21, 22 of B M B, B symmetric and given by these elements."""
+    b00, b10, b11, b20, b21, b22 = inner
+    t00, t01, t02 = (
+        b00 * m00 + b10 * m10 + b20 * m20,
+        b00 * m10 + b10 * m11 + b20 * m21,
+        b00 * m20 + b10 * m21 + b20 * m22,
+    )
+    t10, t11, t12 = (
+        b10 * m00 + b11 * m10 + b21 * m20,
+        b10 * m10 + b11 * m11 + b21 * m21,
+        b10 * m20 + b11 * m21 + b21 * m22,
+    )
+    t20, t21, t22 = (
+        b20 * m00 + b21 * m10 + b22 * m20,
+        b20 * m10 + b21 * m11 + b22 * m21,
+        b20 * m20 + b21 * m21 + b22 * m22,
+    )
+    return (
+        t00 * b00 + t01 * b10 + t02 * b20,
+        t10 * b00 + t11 * b10 + t12 * b20,
+        t10 * b10 + t11 * b11 + t12 * b21,
+        t20 * b00 + t21 * b10 + t22 * b20,
+        t20 * b10 + t21 * b11 + t22 * b21,
+        t20 * b20 + t21 * b21 + t22 * b22,
+    )
 
 
 @inlined

@@ -19,7 +19,7 @@ from aoabench.estimators.discrepancy import Discrepancy
 from aoabench.kernels.loading import load
 from aoabench.maths.geometry import euler, facing, to_unit
 from aoabench.noise.angular import NormalAngles
-from aoabench.types import Anchors, Batch, Outcome
+from aoabench.types import Anchors, Batch, Outcome, Reason
 from tests.helpers import Place
 from tests.theory.rounding import equal_but_for_rounding, moved_by_rounding
 
@@ -603,7 +603,11 @@ def test_rejected_and_failed(engine, intersection):
     without = Discrepancy(intersection=intersection, vote=False, engine=engine)(
         batch, Plane(anchors, 0.0), None
     )
-    assert without.outcome[0].tolist() == [Outcome.FAILED, Outcome.OK, Outcome.OK, Outcome.OK]
+    # rays away from each other: the fused position lies behind both anchors
+    expected = [Outcome.FAILED, Outcome.OK, Outcome.DIVERGED, Outcome.OK]
+    assert without.outcome[0].tolist() == expected
+    assert without.reason[0].tolist() == [Reason.NO_MEASUREMENT, 0, Reason.BEHIND, 0]
+    assert found.reason[0].tolist()[1:3] == [Reason.NO_AGREEMENT] * 2
     assert without.anchors_used[0].tolist() == [0, 1, 2, 2]
 
 
