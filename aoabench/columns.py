@@ -1,6 +1,14 @@
-"""The columns of every stored table: names and types."""
+"""The columns of every stored table: names and types.
+
+What is not known is NaN in a column of numbers and null in one of strings. A `reason` is the name
+of a types.Reason in lower case, "" where nothing needs one, and null in tables of schema 1.
+"""
 
 from __future__ import annotations
+
+# Version of the tables, in the metadata of each file; a file without one has version 1, whose
+# tables lack times, reasons, n_unmeasured, imprecise, standard deviations and intervals.
+SCHEMA = 2
 
 REPLICATIONS = {
     "cell": "string",
@@ -21,6 +29,9 @@ REPLICATIONS = {
     "n_rejected": "int64",
     "iterations": "double",
     "nees": "double",
+    "n_unmeasured": "int64",  # fixes without an azimuth, elevation or delay of any anchor
+    "n_imprecise": "int64",  # see Inputs.imprecise
+    "reason": "string",  # the commonest of the fixes that are not ok
 }
 
 
@@ -39,6 +50,16 @@ STEPS = {
     "error_xy_m": "double",
     "error_z_m": "double",
     "outcome": "string",
+    "tag": "string",  # as recorded, null where simulated
+    "time_s": "double",
+    "fix": "string",  # as recorded, null where simulated
+    "reason": "string",
+    "n_unmeasured": "int64",  # 1 without an azimuth, elevation or delay of any anchor, else 0
+    "imprecise": "bool",
+    "anchors_used": "double",
+    "score": "double",
+    **{f"sigma_{axis}_m": "double" for axis in "xyz"},
+    **{f"cov_{pair}_m2": "double" for pair in ("xx", "xy", "xz", "yy", "yz", "zz")},
 }
 
 
@@ -51,17 +72,61 @@ FIXES = {
     "anchors_used": "floats",
     "outcome": "bytes",
     "place": "ints",
+    "reason": "bytes",
+    "imprecise": "bytes",
+    "n_unmeasured": "bytes",
+    **{f"sigma_{axis}_m": "floats" for axis in "xyz"},
 }
 
 
 PART_FAILURES = {"replication": "int64", "error": "string", "lost": "bool"}
 
 
-# tables of a part: rows always; failures only where an estimator raised or gave NaN
-KINDS = {"rows": REPLICATIONS, "steps": STEPS, "fixes": FIXES, "failures": PART_FAILURES}
+# number `n` of a replication's fixes with an outcome that is not ok, and its reason
+PART_REASONS = {"replication": "int64", "outcome": "string", "reason": "string", "n": "int64"}
+
+
+# tables of a part: rows always; failures only where an estimator raised or gave NaN, reasons only
+# where a fix is not ok
+KINDS = {
+    "rows": REPLICATIONS,
+    "steps": STEPS,
+    "fixes": FIXES,
+    "failures": PART_FAILURES,
+    "reasons": PART_REASONS,
+}
 
 
 IDENTITY = ("cell", "experiment", "scenario", "noise", "estimator")
+
+
+def _with(ends: str, *names: str) -> dict[str, str]:
+    """Columns of numbers NAME and NAME_END, for each name and each of the `ends`."""
+    return {name + end: "double" for name in names for end in ("", *ends.split())}
+
+
+_RMSE = [f"rmse_{which}_{axis}_m" for axis in ("3d", "xy", "z") for which in ("pooled", "mean")]
+# The swept parameters follow the identity. The ends of an interval at the level 0.95 are _low and
+# _high. Of a quantile of the replications' RMSE (rmse_q50_3d_m) there is a standard error; cep50_m
+# and error_z_q50_m are quantiles over fixes, of the error in the plane and of |error_z|.
+# p_error_below is the share of fixes with an error in the plane of at most error_limit_m.
+SUMMARY = {
+    **dict.fromkeys(IDENTITY, "string"),
+    "replications": "int64",
+    **_with("_se _low _high", *_RMSE),
+    **_with("_se", *(f"rmse_q{q}_3d_m" for q in ("05", "25", "50", "75", "95"))),
+    **_with("_se _low _high", "failure_rate"),  # of replications with a failed or diverged fix
+    **_with("_se", "nees_mean", "iterations_mean"),
+    **_with("", "share_ok", "share_rejected", "share_oscillated", "share_diverged"),  # of fixes
+    **_with("", "share_failed", "share_unmeasured", "share_imprecise"),
+    "reason": "string",  # the commonest of the fixes that are not ok
+    "share_reason": "double",  # of all fixes
+    **_with("_low _high", *(f"cep{q}_m" for q in (50, 67, 75, 80, 90, 95))),
+    **_with("_low _high", *(f"error_z_q{q}_m" for q in (50, 67, 95))),
+    "error_limit_m": "double",
+    **_with("_low _high", "p_error_below", "availability"),
+    "se_by": "string",
+}
 
 
 TIMING = {
@@ -87,7 +152,9 @@ FAILURES = {
     "outcome": "string",
     "n_failed": "int64",
     "n_fixes": "int64",
-    "error": "string",
+    "reason": "string",  # the commonest of its failed fixes
+    "sentence": "string",  # the reason in words
+    "error": "string",  # of an exception or of NaN
     "replay": "string",
 }
 

@@ -30,7 +30,8 @@ def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> l
     default="rmse_3d_m",
     show_default=True,
     shell_complete=_metrics,
-    help="A numeric column of replications.parquet (rmse_xy_m, nees ...) or failure_rate.",
+    help="The mean of a numeric column of replications.parquet (rmse_xy_m, nees ...), or "
+    "failure_rate, the share of replications in which a fix failed or diverged.",
 )
 @json_option
 def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None:

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aoabench.cell import Cell
+from aoabench.cli.outcomes import not_ok, not_ok_text
+from aoabench.columns import SUMMARY
+from aoabench.report.text import interval_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -15,17 +18,20 @@ if TYPE_CHECKING:
     from aoabench.engine.runner import RunReport
     from aoabench.studies.reproduce import Drawn
 
-_NO_PARAMETERS = ("experiment", "scenario", "noise", "seed", "estimators", "config")
 _MOST_ROWS = 60
-_RMSE = (("rmse_pooled_3d_m", "RMSE 3-D [m]"), ("rmse_pooled_xy_m", "RMSE xy [m]"))
+_RMSE = {
+    "rmse_pooled_3d_m": "pooled RMSE 3-D [m]",
+    "rmse_mean_3d_m": "mean RMSE 3-D [m]",
+    "rmse_pooled_xy_m": "pooled RMSE xy [m]",
+}
 
 
 @dataclass(frozen=True)
 class Finished:
     """The results of a finished run for the cells and estimators of this command.
 
-    `summary` has the rows of summary.parquet with the cells' `parameters` as columns; `errors` has
-    one error message for each replication with an error.
+    `summary` has the rows of summary.parquet, `parameters` are its columns of the cells'
+    parameters; `errors` has one error message for each replication with an error.
     """
 
     report: RunReport
@@ -41,13 +47,12 @@ def finished(report: RunReport, cells: Sequence[Cell]) -> Finished:
 
     out = report.out
     summary = _asked(pd.read_parquet(out / "summary.parquet"), cells)
-    table = pd.read_parquet(out / "cells.parquet")
-    parameters = [c for c in table.columns if c not in (*_NO_PARAMETERS, "cell")]
+    parameters = [c for c in summary.columns if c not in SUMMARY]
     failures = _asked(pd.read_parquet(out / "failures.parquet"), cells)
     return Finished(
         report=report,
         cells={cell.id: cell for cell in cells},
-        summary=summary.merge(table[["cell", *parameters]], on="cell"),
+        summary=summary,
         parameters=parameters,
         errors=list(failures["error"].dropna()),
     )
@@ -69,6 +74,12 @@ def run_text(found: Finished) -> Iterator[str]:
         f"computed, {report.reused} reused, {report.seconds:.1f} s{rate}"
     )
     yield _table(found)
+    clustered = (found.summary["se_by"] == "position").any()
+    yield (
+        "pooled: over all fixes; mean: mean of the replications' RMSE, as in compare; "
+        f"[95 % interval{', clustered by position' if clustered else ''}]"
+    )
+    yield from not_ok_text(not_ok(found.summary))
     if found.errors:
         yield (
             f"exceptions and NaN in {len(found.errors)} replications, e.g. {found.errors[0]}; "
@@ -88,10 +99,14 @@ def _table(found: Finished) -> str:
     mine = found.summary
     swept = [c for c in found.parameters if mine[c].nunique(dropna=False) > 1]
     shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
-    for name, title in _RMSE:
-        shown[title] = [f"{v:.4g} ± {s:.1g}" for v, s in zip(mine[name], mine[f"{name}_se"])]
-    shown["failed"] = [f"{v:.1%}" for v in mine["failure_rate"]]
-    shown["fixes ok"] = [f"{v:.2%}" for v in mine["share_ok"]]
+    for name, title in _RMSE.items():
+        three = zip(mine[name], mine[f"{name}_low"], mine[f"{name}_high"])
+        shown[title] = [interval_text(*values) for values in three]
+    named = {name: f"fixes {name}" for name in ("failed", "ok", "unmeasured", "imprecise")}
+    for name, title in named.items():
+        share = mine[f"share_{name}"]
+        if name in ("failed", "ok") or (share > 0).any():
+            shown[title] = [f"{v:.2%}" for v in share]
     return str(shown.to_string(index=False, max_rows=_MOST_ROWS))
 
 
@@ -108,8 +123,8 @@ def _precision(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     )
     for row in short[:20]:
         yield (
-            f"  not reached: cell {row['cell']} {row['estimator']}: {row['mean']:.4g} "
-            f"± {row['se']:.2g} after {row['replications']} replications"
+            f"  not reached: cell {row['cell']} {row['estimator']}: mean {row['mean']:.4g}, "
+            f"s.e. {row['se']:.2g} after {row['replications']} replications"
         )
 
 
@@ -135,6 +150,7 @@ def run_json(found: Finished) -> dict[str, Any]:
             for cell in found.cells.values()
         ],
         "summary": found.summary.to_dict("records"),
+        "not_ok": not_ok(found.summary),
         "errors": {"replications": len(found.errors), "first": next(iter(found.errors), None)},
         "precision": report.precision,
     }
@@ -166,7 +182,7 @@ def worst(found: Finished, n: int) -> list[dict[str, Any]]:
 
 def worst_text(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The worst replications as lines for a terminal."""
-    yield f"the {len(rows)} worst replications, by RMSE 3-D:"
+    yield f"the {len(rows)} worst replications, by their RMSE 3-D:"
     for row in rows:
         rmse, times = row["rmse_3d_m"], row["times_median"]
         error = "no position" if rmse != rmse else f"{rmse:.4g} m"

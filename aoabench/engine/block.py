@@ -3,18 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from aoabench.engine import metrics
+from aoabench.engine.inputs import Inputs
 from aoabench.engine.tiles import Draws, tile_of, try_tile
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.types import Estimates
 
 Rows = dict[str, np.ndarray]
-RowMaker = Callable[[np.ndarray, np.ndarray, Estimates, np.ndarray], Rows]
+
+
+@dataclass(frozen=True)
+class Results:
+    """An estimator's results for some replications: numbers (R,), true states (R, T, n), estimates
+    and the facts about their input; `keep` (R,) selects the replications that become rows.
+    """
+
+    numbers: np.ndarray
+    truth: np.ndarray
+    estimates: Estimates
+    inputs: Inputs
+    keep: np.ndarray
+
+    @cached_property
+    def imprecise(self) -> np.ndarray:
+        """Inputs.imprecise (R, T) of the estimates."""
+        return self.inputs.imprecise(self.estimates)
+
+
+RowMaker = Callable[[Results], Rows]
 
 
 _SPAN = 64  # replications whose estimates are held before they become rows
@@ -34,10 +56,10 @@ def run_block(
 
     Where all replications share their true positions, `fixes` has one row of arrays per
     replication, from which standard errors are clustered by position. `failures` is present only if
-    an estimator raised or gave NaN (see `try_tile`). Estimators of one tile size take turns tile by
-    tile, so that each tile is drawn once for all of them.
+    an estimator raised or gave NaN (see `try_tile`), `reasons` only if a fix is not ok. Estimators
+    of one tile size take turns tile by tile, so that each tile is drawn once for all of them.
     """
-    makers: dict[str, RowMaker] = {"rows": _rows}
+    makers: dict[str, RowMaker] = {"rows": _rows, "reasons": _reasons}
     makers |= {"steps": _details} if steps else {}
     makers |= {"fixes": _fixes} if scenario.shares_positions else {}
     blocks: dict[str, dict[str, Rows]] = {}
@@ -63,7 +85,8 @@ def _same_tiles(
     span = size * max(_SPAN // size, 1)
     for first in range(wanted.start - wanted.start % size, wanted.stop, span):
         tiles = range(first, min(first + span, wanted.stop), size)
-        found = [{n: try_tile(draws, e, tile) for n, e in estimators.items()} for tile in tiles]
+        inputs, found = zip(*(_tried(draws, estimators, tile, size) for tile in tiles))
+        facts = Inputs.joined(inputs)
         numbers = np.arange(first, tiles[-1] + size)
         keep = (numbers >= wanted.start) & (numbers < wanted.stop)
         for name in estimators:
@@ -71,38 +94,75 @@ def _same_tiles(
             estimates = _one_after_the_other([tile[name][1] for tile in found])
             for tile in found:
                 errors[name] |= tile[name][2]
+            results = Results(numbers, truth, estimates, facts, keep)
             for kind, make in makers.items():
-                rows[name][kind].append(make(numbers, truth, estimates, keep))
+                rows[name][kind].append(make(results))
     blocks = {}
     for name, kinds in rows.items():
-        blocks[name] = {kind: _join(parts) for kind, parts in kinds.items()}
+        joined = {kind: _join(parts) for kind, parts in kinds.items()}
+        blocks[name] = {k: v for k, v in joined.items() if k != "reasons" or len(v["n"])}
         blocks[name] |= _failures(blocks[name]["rows"], errors[name])
     return blocks
 
 
+Tried = tuple[np.ndarray, Estimates, dict[int, str]]
+
+
+def _tried(
+    draws: Draws, estimators: Mapping[str, Estimator], first: int, size: int
+) -> tuple[Inputs, dict[str, Tried]]:
+    """The facts about one tile's input, and what `try_tile` returns for each estimator."""
+    inputs = Inputs.of(draws.tile(first, size)[1], draws.scenario.recorded is not None)
+    return inputs, {name: try_tile(draws, e, first) for name, e in estimators.items()}
+
+
 def _one_after_the_other(tiles: list[Estimates]) -> Estimates:
-    values = {f.name: [getattr(tile, f.name) for tile in tiles] for f in fields(Estimates)}
-    joined = {name: None if v[0] is None else np.concatenate(v) for name, v in values.items()}
+    """The estimates of all tiles; NaN in place of an optional array that some tiles lack, such as
+    one whose replications all raised.
+    """
+    joined: dict[str, np.ndarray | None] = {}
+    for name in (f.name for f in fields(Estimates)):
+        arrays = [getattr(tile, name) for tile in tiles]
+        given = next((a for a in arrays if a is not None), None)
+        if given is None:
+            joined[name] = None
+            continue
+        shapes = [(*tile.outcome.shape, *given.shape[2:]) for tile in tiles]
+        joined[name] = np.concatenate(
+            [np.full(shape, np.nan) if a is None else a for a, shape in zip(arrays, shapes)]
+        )
     return Estimates(**joined)  # type: ignore[arg-type]
 
 
-def _rows(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray) -> Rows:
-    found = {"replication": numbers, **metrics.per_replication(estimates, truth[..., :3])}
+def _rows(of: Results) -> Rows:
+    found = {"replication": of.numbers, **metrics.per_replication(of.estimates, of.truth[..., :3])}
+    found["n_unmeasured"] = of.inputs.unmeasured.sum(axis=1)
+    found["n_imprecise"] = of.imprecise.sum(axis=1)
+    return {k: v[of.keep] for k, v in found.items()}
+
+
+def _reasons(of: Results) -> Rows:
+    found = metrics.reason_counts(of.estimates)
+    keep = of.keep[found["replication"]]
+    found["replication"] = of.numbers[found["replication"]]
     return {k: v[keep] for k, v in found.items()}
 
 
-def _details(
-    numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray
-) -> Rows:
-    R, T = truth.shape[:2]
-    found = {"replication": np.tile(numbers, (T, 1)).T, "step": np.tile(np.arange(T), (R, 1))}
-    found |= metrics.per_step(estimates, truth[..., :3])
-    return {k: v[keep].ravel() for k, v in found.items()}
+def _details(of: Results) -> Rows:
+    R, T = of.truth.shape[:2]
+    found = {"replication": np.tile(of.numbers, (T, 1)).T, "step": np.tile(np.arange(T), (R, 1))}
+    found |= metrics.per_step(of.estimates, of.truth[..., :3])
+    found |= {"time_s": of.inputs.time, "imprecise": of.imprecise}
+    found["n_unmeasured"] = of.inputs.unmeasured.astype(int)
+    found["tag"] = found["fix"] = np.full((R, T), None)
+    return {k: v[of.keep].ravel() for k, v in found.items()}
 
 
-def _fixes(numbers: np.ndarray, truth: np.ndarray, estimates: Estimates, keep: np.ndarray) -> Rows:
-    found = {"replication": numbers, **metrics.per_fix(estimates, truth[..., :3])}
-    return {k: v[keep] for k, v in found.items()}
+def _fixes(of: Results) -> Rows:
+    found = {"replication": of.numbers, **metrics.per_fix(of.estimates, of.truth[..., :3])}
+    flags = {"n_unmeasured": of.inputs.unmeasured, "imprecise": of.imprecise}
+    found |= {name: flag.astype(np.int8) for name, flag in flags.items()}
+    return {k: v[of.keep] for k, v in found.items()}
 
 
 def _failures(rows: Rows, errors: Mapping[int, str]) -> dict[str, Rows]:

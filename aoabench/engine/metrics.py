@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from aoabench.maths.geometry import Array
-from aoabench.types import Estimates, Outcome
+from aoabench.types import Estimates, Outcome, Reason
+
+OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome], dtype=object)
+REASONS = np.array(["", *(r.name.lower() for r in Reason if r)], dtype=object)  # "" for NONE
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
@@ -15,7 +19,8 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
     Accepted fixes are those that give a position: ok, oscillated and diverged. Errors cover the
     accepted fixes whose true x and y are known (not NaN, which a recording may contain). `nees` is
     the mean of e^T P^-1 e (3 degrees of freedom). Where a method gives no z (NaN), the 3-D error is
-    the error in the plane, and `rmse_z_m` and `nees` are NaN.
+    the error in the plane, and `rmse_z_m` and `nees` are NaN. `reason` is the commonest of the
+    fixes that are not ok.
     """
     outcome = estimates.outcome
     error = estimates.position - truth
@@ -25,9 +30,7 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
         "rmse_3d_m": root_mean_square(distance(error), scored),
         "rmse_xy_m": root_mean_square(np.hypot(error[..., 0], error[..., 1]), scored),
         "rmse_z_m": root_mean_square(error[..., 2], scored),
-        "outcome": np.array(
-            [Outcome(int(o)).name.lower() for o in outcome.max(axis=1)], dtype=object
-        ),
+        "outcome": OUTCOMES[outcome.max(axis=1)],
         "n_fixes": np.full(len(outcome), outcome.shape[1]),
     }
     for name in ("ok", "diverged", "oscillated", "failed", "rejected"):
@@ -42,24 +45,82 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
         columns["nees"] = _mean(
             value, accepted & np.isfinite(value)
         )  # NaN for a singular covariance
+    columns["reason"] = REASONS[_commonest(reasons(estimates))]
     return columns
 
 
+def reasons(estimates: Estimates) -> np.ndarray:
+    """The Reason (R, T) of each fix: NONE where the outcome is OK, and NOT_STATED where it is not
+    OK and the estimator states none.
+    """
+    bad = estimates.outcome != Outcome.OK
+    if estimates.reason is None:
+        return np.where(bad, Reason.NOT_STATED, Reason.NONE).astype(np.int8)
+    stated = np.where(estimates.reason == Reason.NONE, Reason.NOT_STATED, estimates.reason)
+    return np.where(bad, stated, Reason.NONE).astype(np.int8)
+
+
+def _commonest(reason: np.ndarray) -> np.ndarray:
+    """The commonest Reason (R,) of the fixes (R, T) with a reason; of two, the one with the lower
+    number; NONE without any.
+    """
+    R, K = len(reason), len(REASONS)
+    i, step = np.nonzero(reason)
+    count = np.bincount(K * i + reason[i, step], minlength=R * K)
+    return np.asarray(count.reshape(R, K).argmax(axis=1))
+
+
+def reason_counts(estimates: Estimates) -> dict[str, np.ndarray]:
+    """For each replication, outcome and reason of fixes that are not ok, the index of the
+    replication, the names of both, and the number `n` of such fixes; arrays (K,).
+    """
+    i, step = np.nonzero(estimates.outcome != Outcome.OK)
+    shape = len(estimates.outcome), len(OUTCOMES), len(REASONS)
+    three = i, estimates.outcome[i, step], reasons(estimates)[i, step]
+    code, n = np.unique(np.ravel_multi_index(three, shape), return_counts=True)
+    index, outcome, reason = np.unravel_index(code, shape)
+    return {"replication": index, "outcome": OUTCOMES[outcome], "reason": REASONS[reason], "n": n}
+
+
 def per_step(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
-    """Estimated positions, errors and outcomes, each (R, T)."""
-    error = estimates.position - truth
+    """Estimated positions with their deviations and covariances (NaN where the estimator gives
+    none), errors, outcomes, reasons, anchors_used and score, each (R, T).
+    """
+    error, P = estimates.position - truth, estimates.covariance
+    nothing = np.full(estimates.outcome.shape, np.nan)
+    given = {"anchors_used": estimates.anchors_used, "score": estimates.score}
     return {
         **{f"{axis}_m": estimates.position[..., i] for i, axis in enumerate("xyz")},
         "error_3d_m": distance(error),
         "error_xy_m": np.hypot(error[..., 0], error[..., 1]),
         "error_z_m": error[..., 2],
-        "outcome": np.array([o.name.lower() for o in Outcome], dtype=object)[estimates.outcome],
+        "outcome": OUTCOMES[estimates.outcome],
+        "reason": REASONS[reasons(estimates)],
+        **{name: nothing if value is None else value for name, value in given.items()},
+        **deviations(estimates),
+        **{
+            f"cov_{'xyz'[a]}{'xyz'[b]}_m2": nothing if P is None else P[..., a, b]
+            for a, b in _PAIRS
+        },
+    }
+
+
+def deviations(estimates: Estimates) -> dict[str, np.ndarray]:
+    """Columns sigma_x_m, sigma_y_m and sigma_z_m (R, T); NaN without a covariance or where a
+    variance is negative.
+    """
+    P = estimates.covariance
+    nothing = np.full(estimates.outcome.shape, np.nan)
+    variance = [nothing if P is None else P[..., i, i] for i in range(3)]
+    return {
+        f"sigma_{axis}_m": np.sqrt(np.where(v >= 0, v, np.nan)) for axis, v in zip("xyz", variance)
     }
 
 
 def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
     """Columns of the fixes table, each (R, T), for replications that share their true positions:
-    errors in m, iterations, score and anchors_used (float32), outcome (int8) and place (int32).
+    errors and standard deviations in m, iterations, score and anchors_used (float32), outcome and
+    reason (int8) and place (int32).
 
     Fixes of one true position have one place, numbered from 0 in the order of their first fix.
     """
@@ -77,6 +138,8 @@ def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
         },
         "outcome": estimates.outcome.astype(np.int8),
         "place": np.broadcast_to(places(truth[0]), estimates.outcome.shape),
+        "reason": reasons(estimates),
+        **{name: value.astype(np.float32) for name, value in deviations(estimates).items()},
     }
 
 

@@ -17,6 +17,7 @@ from aoabench.engine.tiles import Draws, tile_of, try_tile
 from aoabench.errors import UserError, did_you_mean
 from aoabench.roles import Scenario
 from aoabench.store import folder
+from aoabench.store.files import schema_version
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
 
@@ -129,7 +130,9 @@ def _preset(record: Mapping[str, Any], estimator: str, replication: int) -> Any:
 
 def _stored(run: Path, cell: str, estimator: str, replication: int) -> float:
     """The 3-D RMSE in m that the run's tables hold."""
-    rows = pd.read_parquet(run / "replications.parquet" / f"{cell}.parquet")
+    path = run / "replications.parquet" / f"{cell}.parquet"
+    schema_version(path)
+    rows = pd.read_parquet(path)
     mine = (rows["estimator"] == estimator) & (rows["replication"] == replication)
     return float(rows.loc[mine, "rmse_3d_m"].iloc[0])
 

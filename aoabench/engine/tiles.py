@@ -12,10 +12,11 @@ from typing import cast
 
 import numpy as np
 
+from aoabench.engine.metrics import reasons
 from aoabench.errors import UserError
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, Streams, generator
-from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
+from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome, Reason
 
 _MOST_ELEMENTS = 2**20
 
@@ -206,11 +207,12 @@ def try_tile(
 
 def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...]) -> Estimates:
     """Assemble one tile (R, T) from the replications of several pieces; those in no piece are
-    FAILED.
+    FAILED by an EXCEPTION.
     """
     found: dict[str, np.ndarray | None] = {
         "position": np.full((*shape, 3), np.nan),
         "outcome": np.full(shape, Outcome.FAILED, dtype=np.int8),
+        "reason": np.full(shape, Reason.EXCEPTION, dtype=np.int8),
     }
     for field in ("covariance", "iterations", "score", "anchors_used"):
         given = next((value for _, e in pieces if (value := getattr(e, field)) is not None), None)
@@ -227,15 +229,15 @@ def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimate
     """The estimates with unusable fixes marked FAILED; UserError if an array does not have the
     shape (R, T, ...) that the role requires.
 
-    A fix that claims a position but has no finite x or y becomes FAILED, so that the counts cover
-    all fixes.
+    A fix that claims a position but has no finite x or y becomes FAILED as NOT_A_NUMBER, so that
+    the counts cover all fixes. Every fix that is not OK has a reason (see metrics.reasons).
     """
     if not isinstance(estimates, Estimates):
         raise UserError(
             f"{name}: an estimator must return Estimates, not {type(estimates).__name__}"
         )
     wanted = {"position": (*shape, 3), "covariance": (*shape, 3, 3), "outcome": shape}
-    wanted |= dict.fromkeys(("iterations", "score", "anchors_used"), shape)
+    wanted |= dict.fromkeys(("iterations", "score", "anchors_used", "reason"), shape)
     for field, expected in wanted.items():
         value = getattr(estimates, field)
         if value is None and field not in ("position", "outcome"):
@@ -246,8 +248,12 @@ def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimate
             )
     if not np.isin(estimates.outcome, list(Outcome)).all():
         raise UserError(f"{name}: Estimates.outcome must hold values of Outcome")
+    if estimates.reason is not None and not np.isin(estimates.reason, list(Reason)).all():
+        raise UserError(f"{name}: Estimates.reason must hold values of Reason")
     given = (estimates.outcome != Outcome.FAILED) & (estimates.outcome != Outcome.REJECTED)
     lost = given & ~np.isfinite(estimates.position[..., :2]).all(-1)
     return replace(
-        estimates, outcome=np.where(lost, Outcome.FAILED, estimates.outcome).astype(np.int8)
+        estimates,
+        outcome=np.where(lost, Outcome.FAILED, estimates.outcome).astype(np.int8),
+        reason=np.where(lost, Reason.NOT_A_NUMBER, reasons(estimates)).astype(np.int8),
     )

@@ -32,6 +32,13 @@ def normal_quantile(confidence: float) -> float:
     return float(ndtri(0.5 + confidence / 2))
 
 
+def student_quantile(degrees: int, confidence: float = 0.95) -> float:
+    """t with P(|T| <= t) = confidence for Student's T with `degrees` of freedom; NaN for 0."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(degrees, 0.5 + confidence / 2)) if degrees > 0 else math.nan
+
+
 def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
     """Interval of a mean over replications (N,), corrected for skewness [Hall 1992, transformation
     g2].

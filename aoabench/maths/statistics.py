@@ -23,10 +23,14 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its Monte Carlo standard error (NaN for too few values)."""
+    """A number and its Monte Carlo standard error (NaN for too few values, and of NaN)."""
 
     value: float
     se: float
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.value):
+            object.__setattr__(self, "se", math.nan)
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """Normal confidence interval."""
@@ -65,11 +69,8 @@ class Estimate:
 def mean(values: ArrayLike) -> Estimate:
     """Mean over replications (N,)."""
     x = finite(values)
-    if len(x) == 0:
-        return Estimate(math.nan, math.nan)
-    return Estimate(
-        float(x.mean()), float(x.std(ddof=1) / math.sqrt(len(x))) if len(x) > 1 else math.nan
-    )
+    se = float(x.std(ddof=1) / math.sqrt(len(x))) if len(x) > 1 else math.nan
+    return Estimate(float(x.mean()) if len(x) else math.nan, se)
 
 
 def pooled_rmse(rmse: ArrayLike, fixes: ArrayLike | None = None) -> Estimate:
@@ -126,12 +127,12 @@ def cep(error: ArrayLike, probability: float = 0.5, axis: int = 0) -> Estimate:
 
 
 def rate(count: int, n: int) -> Estimate:
-    """A proportion with its standard error; half a count is added at 0 and n so that the error is
-    never 0.
+    """A proportion with its standard error: never 0, as half a count is added at 0 and n; NaN for
+    n = 1.
     """
-    if n == 0:
-        return Estimate(math.nan, math.nan)
-    p = min(max(count, 0.5), n - 0.5) / n if n > 1 else 0.5
+    if n < 2:
+        return Estimate(float(count) if n else math.nan, math.nan)
+    p = min(max(count, 0.5), n - 0.5) / n
     return Estimate(count / n, math.sqrt(p * (1 - p) / n))
 
 
@@ -158,9 +159,7 @@ class Paired:
         return self._around(self.percent, confidence)
 
     def _around(self, estimate: Estimate, confidence: float) -> tuple[float, float]:
-        from scipy.special import stdtrit
-
-        half = float(stdtrit(max(self.units - 1, 1), 0.5 + confidence / 2)) * estimate.se
+        half = intervals.student_quantile(max(self.units - 1, 1), confidence) * estimate.se
         return estimate.value - half, estimate.value + half
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aoabench.store.compare import COLUMNS, IDENTITY
-from aoabench.store.comparison import LEVEL
+from aoabench.store.comparison import FAILURES, LEVEL
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,18 +32,19 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
 
 
 def _head(rows: pd.DataFrame) -> str:
-    """Heading of a cell: its parameters, the metric, the baseline with its mean, and the clustering
-    of the intervals.
+    """Heading of a cell: its parameters, the metric with the baseline's mean, and the clustering of
+    the intervals.
     """
     first = rows.iloc[0]
     varied = [c for c in rows.columns if c not in (*IDENTITY, *COLUMNS)]
     where = "".join(f" {c}={first[c]}" for c in varied)
     known = not math.isnan(first["baseline_mean"])
-    level = f", {first['baseline']} = {first['baseline_mean']:.4g}" if known else ""
+    level = f" of {first['baseline']} = {first['baseline_mean']:.4g}" if known else ""
+    name = first["metric"] if first["metric"] == FAILURES else f"mean {first['metric']}"
     units = rows["units"][rows["by"] == "position"]
     by = f", clustered by {units.iloc[0]} positions" if len(units) else ""
     cell = f"{first['scenario']} {first['noise']}{where} (cell {first['cell']})"
-    return f"{cell}, {first['metric']}{level}{by}"
+    return f"{cell}, {name}{level}{by}"
 
 
 def _method(table: pd.DataFrame) -> Iterator[str]:

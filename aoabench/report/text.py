@@ -24,3 +24,13 @@ def number_text(value: float, se: float) -> str:
         return f"{value:.3g} ± {se:.1g}"
     digits = max(0, 1 - floor(log10(abs(se))))
     return f"{value:.{digits}f} ± {se:.{digits}f}"
+
+
+def interval_text(value: float, low: float, high: float) -> str:
+    """A number with its interval, to two digits of the interval's half-width."""
+    half = (high - low) / 2
+    if half != half or not 1e-12 * abs(value) < half < 1e6:  # unknown, 0 up to rounding, or huge
+        ends = "" if half != half else f" [{low:.4g}, {high:.4g}]"
+        return f"{value:.4g}{ends}"
+    digits = max(0, 1 - floor(log10(half)))
+    return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"

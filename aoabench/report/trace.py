@@ -131,7 +131,13 @@ def _errors(axis: Any, frame: pd.DataFrame) -> None:
             )
         )
         axis.fill_between(
-            frame["step"], 0, stated, color=plots.GREY, alpha=0.2, linewidth=0, label="stated"
+            frame["step"],
+            0,
+            stated,
+            color=plots.GREY,
+            alpha=0.2,
+            linewidth=0,
+            label="stated, 1 sigma",
         )
     axis.set_ylabel("3-D error [m]")
     axis.set_ylim(bottom=0)

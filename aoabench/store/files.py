@@ -20,12 +20,15 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
-from aoabench.columns import IDENTITY
+from aoabench.columns import IDENTITY, SCHEMA
+from aoabench.errors import UserError
 from aoabench.resources import version
+
+_SCHEMA = b"aoabench_schema"
 
 
 def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = None) -> pa.Schema:
-    """The fixed Arrow schema of a table, with provenance as metadata."""
+    """The fixed Arrow schema of a table, with its version and provenance as metadata."""
     import pyarrow as pa
 
     types = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "bool": pa.bool_()}
@@ -34,7 +37,9 @@ def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = No
         "bytes": pa.list_(pa.int8()),
         "ints": pa.list_(pa.int32()),
     }
-    meta = {"aoabench": json.dumps(provenance, default=str)} if provenance else None
+    meta = {_SCHEMA: str(SCHEMA).encode()}
+    if provenance:
+        meta[b"aoabench"] = json.dumps(provenance, default=str).encode()
     return pa.schema([(name, types[kind]) for name, kind in columns.items()], metadata=meta)
 
 
@@ -137,8 +142,17 @@ def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> s
     return checksum
 
 
-def write_frame(path: Path, frame: pd.DataFrame, origin: Mapping[str, Any] | None = None) -> None:
-    """Write a pandas frame to Parquet, atomically, with provenance."""
+def write_frame(
+    path: Path,
+    frame: pd.DataFrame,
+    origin: Mapping[str, Any] | None = None,
+    columns: Mapping[str, str] | None = None,
+) -> None:
+    """Write a pandas frame to Parquet, atomically, with provenance.
+
+    `columns` gives the types of a run's own columns, {} if none is fixed, and adds the version of
+    the schema; None for a table that belongs to no run.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -147,6 +161,10 @@ def write_frame(path: Path, frame: pd.DataFrame, origin: Mapping[str, Any] | Non
         **(table.schema.metadata or {}),
         b"aoabench": json.dumps(origin or provenance(), default=str).encode(),
     }
+    if columns is not None:
+        meta[_SCHEMA] = str(SCHEMA).encode()
+        fixed = {field.name: field for field in schema(columns)}
+        table = table.cast(pa.schema([fixed.get(field.name, field) for field in table.schema]))
     table = table.replace_schema_metadata(meta)
     write_atomically(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
 
@@ -157,6 +175,22 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
     text = (pq.read_schema(path).metadata or {}).get(b"aoabench")
     return json.loads(text) if text else {}
+
+
+def schema_version(path: Path) -> int:
+    """The version of the schema of a run's table: columns.SCHEMA or an earlier one.
+
+    Raises UserError for a version that this aoabench does not know.
+    """
+    import pyarrow.parquet as pq
+
+    text = (pq.read_schema(path).metadata or {}).get(_SCHEMA, b"1").decode(errors="replace")
+    if text.isdecimal() and 1 <= int(text) <= SCHEMA:
+        return int(text)
+    raise UserError(
+        f"{path}: the table has schema {text}; allowed: 1 to {SCHEMA}; read it with the aoabench "
+        "that wrote it, or repeat the run with another runner.out"
+    )
 
 
 def file_checksum(path: Path) -> str:

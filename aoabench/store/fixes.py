@@ -23,11 +23,13 @@ from aoabench.store.folder import noted_parts, read_record
 @dataclass(frozen=True)
 class Fixes:
     """Every fix of one estimator in one cell whose replications share their true positions; arrays
-    (R, T).
+    (R, T), or None if a part was stored without them.
 
     error_3d_m, error_xy_m in m (NaN: no position), iterations, score and anchors_used of
     types.Estimates (NaN: not reported), outcome of types.Outcome, place: the number of the true
-    position, which several fixes may share.
+    position, which several fixes may share; reason of types.Reason; imprecise (see
+    engine.inputs.Inputs) and n_unmeasured (no anchor has an angle or a delay), 0 or 1; sigma_x_m,
+    sigma_y_m, sigma_z_m: reported standard deviations in m (NaN: not reported).
     """
 
     error_3d_m: np.ndarray
@@ -37,6 +39,15 @@ class Fixes:
     anchors_used: np.ndarray
     outcome: np.ndarray
     place: np.ndarray | None = None
+    reason: np.ndarray | None = None
+    imprecise: np.ndarray | None = None
+    n_unmeasured: np.ndarray | None = None
+    sigma_x_m: np.ndarray | None = None
+    sigma_y_m: np.ndarray | None = None
+    sigma_z_m: np.ndarray | None = None
+
+
+_FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", "outcome", "place")
 
 
 def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
@@ -47,16 +58,18 @@ def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
     )
     if not found:
         raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r} are stored")
+    each = {f.name: [getattr(one, f.name) for one in found] for f in fields(Fixes)}
     return Fixes(
-        **{f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Fixes)}
+        **{n: None if any(a is None for a in v) else np.concatenate(v) for n, v in each.items()}  # type: ignore[arg-type]
     )
 
 
 def _fixes(part: pa.Table) -> Fixes:
     arrays = {}
     for f in fields(Fixes):
-        column = part[f.name].combine_chunks()
-        arrays[f.name] = column.flatten().to_numpy(zero_copy_only=False).reshape(len(part), -1)
+        if f.name in part.column_names and part[f.name].null_count == 0:
+            column = part[f.name].combine_chunks()
+            arrays[f.name] = column.flatten().to_numpy(zero_copy_only=False).reshape(len(part), -1)
     return Fixes(**arrays)
 
 
@@ -78,7 +91,7 @@ def clusters(
     wanted = None if replications is None else np.fromiter(replications, dtype=np.int64)
     total: Clusters | None = None
     place: np.ndarray | None = None
-    for part in noted_parts(root, entry, "fixes"):
+    for part in noted_parts(root, entry, "fixes", ["replication", *_FOR_SUMS]):
         if wanted is not None:
             part = part.filter(pa.array(np.isin(part["replication"].to_numpy(), wanted)))
             if len(part) == 0:

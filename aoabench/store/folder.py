@@ -14,10 +14,11 @@ import numpy as np
 from aoabench.cell import Cell
 from aoabench.columns import IDENTITY, KINDS
 from aoabench.errors import RunError
-from aoabench.store.files import provenance, schema, write_atomically
+from aoabench.store.files import provenance, schema, schema_version, write_atomically
 from aoabench.store.parts import Part, intact_parts
 
 if TYPE_CHECKING:
+    import pandas as pd
     import pyarrow as pa
 
 
@@ -109,10 +110,28 @@ def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, st
 
     found: dict[int, str] = {}
     for file in (part.files["failures"] for part in parts if "failures" in part.files):
+        schema_version(file)
         for row in pq.read_table(file, schema=schema(KINDS["failures"])).to_pylist():
             if row["replication"] < reps and (row["lost"] or not lost):
                 found[row["replication"]] = row["error"]
     return found
+
+
+def reasons(parts: Iterable[Part], reps: int) -> pd.DataFrame:
+    """Number `n` of the fixes that are not ok in the first `reps` replications of some parts, by
+    replication, outcome and reason.
+    """
+    import pandas as pd
+    import pyarrow.parquet as pq
+
+    columns = schema(KINDS["reasons"])
+    found = [columns.empty_table().to_pandas()]
+    for file in (part.files["reasons"] for part in parts if "reasons" in part.files):
+        schema_version(file)
+        found.append(pq.read_table(file, schema=columns).to_pandas())
+    table: pd.DataFrame = pd.concat(found, ignore_index=True)
+    table = table.drop_duplicates(["replication", "outcome", "reason"])
+    return table[table["replication"] < reps]
 
 
 def replay_command(
@@ -148,11 +167,14 @@ def values(out: Path, key: str, column: str, reps: int) -> np.ndarray:
     return np.concatenate([part[column].to_numpy() for part in parts])
 
 
-def noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.Table]:
+def noted_parts(
+    out: Path, entry: Mapping[str, Any], kind: str, columns: list[str] | None = None
+) -> Iterator[pa.Table]:
     """The parts of one recorded estimator as tables, cut to its replications 0 ... reps-1, in
-    order.
+    order; `columns`, which include `replication`, are all if None.
 
-    Raises RunError if replications are missing.
+    Columns that parts of an earlier schema lack are null. Raises RunError if replications are
+    missing, and UserError for parts of an unknown schema.
     """
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
@@ -164,7 +186,8 @@ def noted_parts(out: Path, entry: Mapping[str, Any], kind: str) -> Iterator[pa.T
             continue
         if found.start > position:
             break
-        part = pq.read_table(found.files[kind], schema=inner)
+        schema_version(found.files[kind])
+        part = pq.read_table(found.files[kind], schema=inner, columns=columns)
         number = part["replication"]
         keep = pc.and_(pc.greater_equal(number, position), pc.less(number, entry["reps"]))
         position = found.stop

@@ -1,16 +1,21 @@
-"""The summary row of one estimator in one cell, with standard errors clustered by position where
-replications share their positions.
+"""The summary row of one estimator in one cell, with standard errors and intervals clustered by
+position where replications share their positions.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from aoabench.columns import IDENTITY, SUMMARY
 from aoabench.maths import intervals
 from aoabench.maths.statistics import Array, Estimate, mean, pooled_rmse, quantile, rate, ratio
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CLUSTERED = ("rmse_3d_m", "rmse_xy_m", "rmse_z_m", "iterations")  # metrics of Clusters.influence
 
@@ -109,33 +114,75 @@ def position_sums(
     return Clusters(len(a), *sums, influence["3d"], influence["xy"], influence["z"])
 
 
-def summarise(rows: Any, clusters: Clusters | None = None) -> dict[str, Any]:
-    """One row of the summary table from the replications (a frame) of one estimator in one cell.
+def summarise(
+    rows: pd.DataFrame, clusters: Clusters | None = None, reasons: pd.DataFrame | None = None
+) -> dict[str, Any]:
+    """One row of the summary table (columns.SUMMARY, without the cell) from the replications of one
+    estimator in one cell; columns that nothing fills are NaN.
 
-    With `clusters`, standard errors of RMSE and iterations are clustered by position (`se_by`);
-    those of quantiles and of the failure rate, whose 95 % interval is Wilson's, are always over
-    replications.
+    `reasons` counts the fixes that are not ok (see store.folder.reasons); None where unknown. With
+    `clusters`, standard errors and intervals of RMSE, and the standard error of iterations, are
+    clustered by position (`se_by`); those of quantiles and of the failure rate, whose 95 % interval
+    is Wilson's, are always over replications.
     """
     n = len(rows)
-    accepted = rows["n_ok"] + rows["n_oscillated"] + rows["n_diverged"]
     bad = int(rows["outcome"].isin(["failed", "diverged"]).sum())
-    result: dict[str, Any] = {"replications": n}
+    result: dict[str, Any] = {name: math.nan for name in SUMMARY if name not in IDENTITY}
+    result |= {"replications": n} | _rmse(rows)
 
     def put(name: str, estimate: Estimate) -> None:
         result[name], result[f"{name}_se"] = estimate.value, estimate.se
 
-    for axis in ("3d", "xy", "z"):
-        put(f"rmse_pooled_{axis}_m", pooled_rmse(rows[f"rmse_{axis}_m"], accepted))
-        put(f"rmse_mean_{axis}_m", mean(rows[f"rmse_{axis}_m"]))
     for q in QUANTILES:
         put(f"rmse_q{round(100 * q):02d}_3d_m", quantile(rows["rmse_3d_m"], q))
     put("failure_rate", rate(bad, n))
     result["failure_rate_low"], result["failure_rate_high"] = intervals.rate_interval(bad, n)
     put("nees_mean", mean(rows["nees"]))
     put("iterations_mean", mean(rows["iterations"]))
-    for name in ("ok", "rejected", "oscillated", "diverged", "failed"):
-        result[f"share_{name}"] = float(rows[f"n_{name}"].sum() / max(rows["n_fixes"].sum(), 1))
+    fixes = max(int(rows["n_fixes"].sum()), 1)
+    for name in ("ok", "rejected", "oscillated", "diverged", "failed", "unmeasured", "imprecise"):
+        result[f"share_{name}"] = float(rows[f"n_{name}"].sum(skipna=False) / fixes)
+    reason, count = (None, math.nan) if reasons is None else commonest(reasons)
+    result |= {"reason": reason, "share_reason": count / fixes}
     result["se_by"] = "replication" if clusters is None else "position"
     if clusters is not None:
-        result |= {f"{name}_se": se for name, se in clusters.standard_errors().items()}
+        result |= _clustered(result, clusters)
     return result
+
+
+def commonest(reasons: pd.DataFrame) -> tuple[str, int]:
+    """The commonest of some `reasons` with their counts `n`, and its count; ("", 0) without any. Of
+    two that are equally common, the first in the alphabet.
+    """
+    if reasons.empty:
+        return "", 0
+    count = reasons.groupby("reason")["n"].sum()
+    return str(count.idxmax()), int(count.max())
+
+
+def _rmse(rows: pd.DataFrame) -> dict[str, float]:
+    """Pooled and mean RMSE with standard errors and 95 % intervals over replications."""
+    accepted = rows["n_ok"] + rows["n_oscillated"] + rows["n_diverged"]
+    result: dict[str, float] = {}
+    for axis in ("3d", "xy", "z"):
+        rmse = rows[f"rmse_{axis}_m"]
+        for name, found, ends in (
+            ("pooled", pooled_rmse(rmse, accepted), intervals.rmse_interval(rmse, accepted)),
+            ("mean", mean(rmse), intervals.mean_interval(rmse)),
+        ):
+            result |= found.columns(f"rmse_{name}_{axis}_m")
+            result |= dict(zip((f"rmse_{name}_{axis}_m_low", f"rmse_{name}_{axis}_m_high"), ends))
+    return result
+
+
+def _clustered(result: dict[str, Any], clusters: Clusters) -> dict[str, float]:
+    """Standard errors and, of RMSE, Student's intervals clustered by position; NaN for NaN."""
+    found = {}
+    for name, se in clusters.standard_errors().items():
+        estimate = Estimate(result[name], se)
+        found[f"{name}_se"] = estimate.se
+        if name.startswith("rmse"):
+            half = intervals.student_quantile(len(clusters.fixes) - 1) * estimate.se
+            found[f"{name}_low"] = max(estimate.value - half, 0.0)
+            found[f"{name}_high"] = estimate.value + half
+    return found

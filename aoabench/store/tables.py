@@ -15,18 +15,35 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from aoabench.columns import IDENTITY, KINDS, REPLICATIONS
+from aoabench.columns import (
+    FAILURES,
+    IDENTITY,
+    KINDS,
+    PRECISION,
+    REPLICATIONS,
+    SCHEMA,
+    SUMMARY,
+    TIMING,
+)
 from aoabench.errors import UserError
-from aoabench.maths.digest import flatten
-from aoabench.store.files import provenance, schema, write_atomically, write_frame, write_table
-from aoabench.store.parts import intact_parts
-from aoabench.store.summary import summarise
+from aoabench.store import folder
+from aoabench.store.files import (
+    provenance,
+    schema,
+    schema_version,
+    write_atomically,
+    write_frame,
+    write_table,
+)
+from aoabench.store.fixes import clusters
+from aoabench.store.folder import noted_parts, records, replay_command, write_record
+from aoabench.store.parts import Part, intact_parts
+from aoabench.store.summary import commonest, summarise
+from aoabench.store.swept import natural, one_kind, swept_parameters
+from aoabench.types import SENTENCES, Reason
 
 if TYPE_CHECKING:
     import pandas as pd
-from aoabench.columns import FAILURES, PRECISION, TIMING
-from aoabench.store.fixes import clusters
-from aoabench.store.folder import errors, noted_parts, records, replay_command, write_record
 
 
 def collect(out: Path, only: Iterable[str] | None = None) -> None:
@@ -42,7 +59,8 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     changed = None if only is None else set(only)
     for record in noted:
         path = out / "replications.parquet" / f"{record['cell']}.parquet"
-        if changed is None or record["cell"] in changed or not path.exists():
+        stale = not path.exists() or schema_version(path) < SCHEMA
+        if changed is None or record["cell"] in changed or stale:
             _collect_rows(out, record, "rows")
             if any(entry["steps"] for entry in record["estimators"].values()):
                 _collect_rows(out, record, "steps")
@@ -52,13 +70,13 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
 
     def order(record: Mapping[str, Any]) -> tuple[Any, ...]:
         names = record["experiment"] or "", record["scenario"], record["noise"]
-        return (*names, _natural(swept[record["cell"]].values()))
+        return (*names, natural(swept[record["cell"]].values()))
 
     noted.sort(key=order)
     cells = _cell_table(noted, swept)
-    write_frame(out / "cells.parquet", cells)
+    write_frame(out / "cells.parquet", cells, columns={})
     _write_tidy(out, cells)
-    _write_summary(out, noted)
+    _write_summary(out, noted, swept)
     write_timing(out)
 
 
@@ -84,31 +102,36 @@ def _cell_table(
     return cells
 
 
-def _write_summary(out: Path, noted: Sequence[Mapping[str, Any]]) -> None:
+def _write_summary(
+    out: Path, noted: Sequence[Mapping[str, Any]], swept: Mapping[str, Mapping[str, Any]]
+) -> None:
     """Write the summary and the failures of every estimator in every cell."""
     import pandas as pd
 
     rows, failed = [], []
     for record in noted:
-        frame = pd.read_parquet(out / "replications.parquet" / f"{record['cell']}.parquet")
+        cell = record["cell"]
+        frame = pd.read_parquet(out / "replications.parquet" / f"{cell}.parquet")
         for name, group in frame.groupby("estimator", sort=False):
-            failed += _failures(out, record, str(name), group)
-            found = summarise(group, clusters(out, record["cell"], str(name)))
-            rows.append({**{k: record[k] for k in IDENTITY[:4]}, "estimator": name, **found})
+            entry = record["estimators"][name]
+            parts = intact_parts(out, entry["key"]) if _any_not_ok(group) else []
+            reasons = folder.reasons(parts, entry["reps"])
+            known = not group["reason"].isna().any()
+            failed += _failures(out, record, str(name), group, parts, reasons if known else None)
+            found = summarise(group, clusters(out, cell, str(name)), reasons if known else None)
+            identity = {**{k: record[k] for k in IDENTITY[:4]}, "estimator": name}
+            rows.append({**identity, **swept[cell], **found})
     summary = pd.DataFrame(rows)
-    summary["experiment"] = summary["experiment"].astype("string")
-    write_frame(out / "summary.parquet", summary)
+    parameters = list(next(iter(swept.values())))
+    for parameter in parameters:
+        summary[parameter] = one_kind(summary[parameter])
+    rest = [c for c in SUMMARY if c not in IDENTITY]
+    write_frame(out / "summary.parquet", summary[[*IDENTITY, *parameters, *rest]], columns=SUMMARY)
     _write_rows(out / "failures.parquet", failed, FAILURES)
 
 
-def one_kind(values: pd.Series) -> pd.Series:
-    """The column as Parquet can store it: unchanged if its values are all numbers, all text or all
-    bool, else as text.
-    """
-    given = values.dropna()
-    kinds = {bool if isinstance(v, bool) else str if isinstance(v, str) else float for v in given}
-    text = given.map(lambda v: v if isinstance(v, str) else json.dumps(v))
-    return values if len(kinds) < 2 else text.reindex(values.index)
+def _any_not_ok(rows: pd.DataFrame) -> bool:
+    return bool((rows["n_ok"] < rows["n_fixes"]).any())
 
 
 def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
@@ -123,7 +146,7 @@ def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
     ]
     beside = pa.Table.from_pandas(cells[extra], preserve_index=False)
     outer = pa.schema([*schema(REPLICATIONS), *beside.schema.remove_metadata()])
-    outer = outer.with_metadata({"aoabench": json.dumps(provenance())})
+    outer = outer.with_metadata(schema(REPLICATIONS, provenance()).metadata)
 
     repeated = [
         name for name in outer.names if REPLICATIONS.get(name) != "double"
@@ -172,30 +195,43 @@ def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]], columns: Mapping[
 
 
 def _failures(
-    out: Path, record: Mapping[str, Any], name: str, rows: pd.DataFrame
+    out: Path,
+    record: Mapping[str, Any],
+    name: str,
+    rows: pd.DataFrame,
+    parts: Sequence[Part],
+    reasons: pd.DataFrame | None,
 ) -> list[dict[str, Any]]:
-    """Rows of the failures table: one estimator's replications in which a fix failed."""
+    """Rows of the failures table: one estimator's replications in which a fix failed. `reasons`
+    counts the fixes that are not ok; None where unknown.
+    """
     failed = rows[rows["n_failed"] > 0]
     if failed.empty:
         return []
-    entry = record["estimators"][name]
-    messages = errors(intact_parts(out, entry["key"]), entry["reps"])
-    columns = [c for c in FAILURES if c not in ("error", "replay")]
-    return [
-        {
-            **{str(k): v for k, v in row.items()},
-            "error": messages.get(row["replication"]),
-            "replay": replay_command(
-                out,
-                record["cell"],
-                name,
-                row["replication"],
-                record["config"],
-                record.get("plugins", ()),
-            ),
-        }
-        for row in failed[columns].to_dict("records")
-    ]
+    messages = folder.errors(parts, record["estimators"][name]["reps"])
+    why: dict[int, str] = {}
+    if reasons is not None:
+        of_failed = reasons[reasons["outcome"] == "failed"]
+        groups = of_failed.groupby("replication")
+        why = {some["replication"].iloc[0]: commonest(some)[0] for _, some in groups}
+    columns = [c for c in FAILURES if c not in ("reason", "sentence", "error", "replay")]
+    found = []
+    for row in failed[columns].to_dict("records"):
+        replication = row["replication"]
+        reason = why.get(replication)
+        again = replay_command(
+            out, record["cell"], name, replication, record["config"], record.get("plugins", ())
+        )
+        found.append(
+            {
+                **{str(k): v for k, v in row.items()},
+                "reason": reason,
+                "sentence": None if reason is None else SENTENCES[Reason[reason.upper()]],
+                "error": messages.get(replication),
+                "replay": again,
+            }
+        )
+    return found
 
 
 def _collect_rows(out: Path, record: Mapping[str, Any], kind: str) -> None:
@@ -224,62 +260,11 @@ def _collect_rows(out: Path, record: Mapping[str, Any], kind: str) -> None:
     write_atomically(out / f"{table}.parquet" / f"{record['cell']}.parquet", write)
 
 
-def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Per cell, the dotted parameters that differ between the cells or that a command line or
-    experiment set.
-    """
-    full = {r["cell"]: dict(flatten(r["config"])) | r["changed"] for r in noted}
-    names = {
-        name
-        for leaves in full.values()
-        for name in leaves
-        if name.startswith(("scenario.", "noise."))
-    }
-    varied = {
-        name
-        for name in names
-        if len({json.dumps(leaves.get(name)) for leaves in full.values()}) > 1
-    }
-    varied |= {
-        name for r in noted for name in (*r["changed"], *r["swept"]) if name in full[r["cell"]]
-    }
-    keep = sorted(name for name in varied if not name.endswith("_target_") and name != "seed")
-    found = {
-        cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in full.items()
-    }
-    for name in keep:
-        if (
-            len({_kind(values[name]) for values in found.values()} - {None}) > 1
-        ):  # mixed types are stored as text
-            for values in found.values():
-                values[name] = None if values[name] is None else str(values[name])
-    return found
-
-
-def _kind(value: Any) -> str | None:
-    return (
-        None if value is None else "number" if type(value) in (int, float) else type(value).__name__
-    )
-
-
-def _natural(values: Iterable[Any]) -> list[tuple[bool, float, str]]:
-    """Sort key: numbers by value, everything else by its text."""
-    return [
-        (not isinstance(v, int | float), float(v) if isinstance(v, int | float) else 0.0, str(v))
-        for v in values
-    ]
-
-
-def _scalar(value: Any) -> Any:
-    return (
-        value if value is None or isinstance(value, bool | int | float | str) else json.dumps(value)
-    )
-
-
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """One tidy frame: a row per cell x estimator x replication, with a column per swept parameter.
 
-    Raises UserError if `out` holds no run.
+    Columns that tables of an earlier schema lack are NaN or None. Raises UserError if `out` holds
+    no run, or tables of an unknown schema.
     """
     import pandas as pd
 
@@ -290,9 +275,21 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
         )
     cells = pd.read_parquet(root / "cells.parquet").drop(columns=["config", "estimators"])
     rows = pd.concat(
-        [pd.read_parquet(f) for f in sorted((root / "replications.parquet").glob("*.parquet"))]
+        [_replications(f) for f in sorted((root / "replications.parquet").glob("*.parquet"))]
     )
     extra = [c for c in cells.columns if c == "cell" or c not in rows.columns]
     return rows.merge(cells[extra], on="cell", how="left", validate="many_to_one").reset_index(
         drop=True
     )
+
+
+def _replications(path: Path) -> pd.DataFrame:
+    """A file of replications; columns that an earlier schema lacks are NaN or None."""
+    import pandas as pd
+
+    if schema_version(path) == SCHEMA:
+        return pd.read_parquet(path)
+    import pyarrow.parquet as pq
+
+    rows: pd.DataFrame = pq.read_table(path, schema=schema(REPLICATIONS)).to_pandas()
+    return rows

@@ -2,7 +2,13 @@
 
 import json
 
+import numpy as np
+import pandas as pd
 import pytest
+
+from aoabench.cli.outcomes import not_ok, not_ok_text
+from aoabench.report.text import interval_text
+from aoabench.types import SENTENCES, Reason
 
 from .conftest import SMALL
 
@@ -118,7 +124,89 @@ def test_json_and_text_show_the_same_numbers(call, tmp_path):
     words = [*SMALL, f"runner.out={tmp_path}"]
     (row,) = strict(call("run", *words, "--json")[1])["summary"]
     text = call("run", *words)[1]
-    assert f"{row['rmse_pooled_3d_m']:.4g} ± {row['rmse_pooled_3d_m_se']:.1g}" in text
+    for name, title in (
+        ("pooled_3d", "pooled RMSE 3-D"),
+        ("mean_3d", "mean RMSE 3-D"),
+        ("pooled_xy", "pooled RMSE xy"),
+    ):
+        assert interval_text(*(row[f"rmse_{name}_m{end}"] for end in ("", "_low", "_high"))) in text
+        assert title in text
+    assert "95 % interval" in text
+    assert "not ok" not in text
+    mean = f"mean rmse_3d_m of ekf_vmf = {row['rmse_mean_3d_m']:.4g}"
+    call("run", *words, "filter=[ekf_vmf,ekf_ae_nominal]")
+    assert mean in call("compare", tmp_path, "--baseline", "ekf_vmf")[1], "the mean, in both"
+
+
+@pytest.mark.parametrize(("three", "text"), [
+    ((0.36682, 0.36011, 0.37346), "0.3668 [0.3601, 0.3735]"),
+    ((12345.6, 11111.1, 13333.3), "12346 [11111, 13333]"),
+    ((2.0, np.nan, np.nan), "2"),
+    ((2.0, 2.0, 2.0), "2 [2, 2]"),
+    ((3e9, 1e9, 5e9), "3e+09 [1e+09, 5e+09]"),
+    ((np.nan, np.nan, np.nan), "nan"),
+])  # fmt: skip
+def test_a_number_with_its_interval(three, text):
+    assert interval_text(*three) == text
+
+
+def test_estimators_with_fixes_that_are_not_ok_name_the_commonest_reason(call, tmp_path):
+    """Two anchors in one place: no plane or line method has a position; the filter has one."""
+    words = [
+        "scenario.anchors.position_m=[[0,0,0],[0,0,0]]",
+        "scenario.anchors.facing=[[1,0,0],[1,0,0]]",
+    ]
+    words += [
+        "filter=[ekf_vmf]",
+        "estimator=[ls]",
+        "reps=2",
+        "runner.n_jobs=1",
+        f"runner.out={tmp_path}",
+    ]
+    (found,) = strict(call("run", *words, "--json")[1])["not_ok"]
+    assert (found["estimator"], found["share_not_ok"], found["share_failed"]) == ("ls", 1, 1)
+    assert found["share_reason"] == 1
+    assert found["sentence"] == SENTENCES[Reason[found["reason"].upper()]]
+    text = call("run", *words)[1]
+    assert f"  ls: 100 % failed: {found['sentence']}" in text
+    assert "fixes failed" in text
+    failed = pd.read_parquet(tmp_path / "failures.parquet")
+    assert set(failed["sentence"]) == {found["sentence"]}
+
+
+def test_shares_of_unmeasured_and_imprecise_fixes_are_shown_where_there_are_any(
+    call, recording, tmp_path
+):
+    """The second of two fixes has no angle."""
+    text = call("run", *recording)[1]
+    assert "unmeasured" not in text
+    assert "imprecise" not in text
+    with (tmp_path / "l.csv").open("a") as log:
+        log.write("2,a,,\n2,b,,\n")
+    assert "fixes unmeasured" in call("run", *recording)[1]
+    (row,) = strict(call("run", *recording, "--json")[1])["summary"]
+    assert (row["share_unmeasured"], row["share_imprecise"]) == (0.5, 0)
+
+
+def test_lines_of_fixes_that_are_not_ok():
+    """The largest share first, at most 20 of them; a reason that is not the only one has its share."""
+    rows = pd.DataFrame([
+        {"cell": f"c{i}", "noise": "vmf", "estimator": "ls", "share_ok": 1 - 0.01 * i, "share_rejected": 0.004 * i,
+         "share_failed": 0.006 * i, "share_oscillated": 0.0, "share_diverged": 0.0, "reason": "behind",
+         "share_reason": 0.006 * i}
+        for i in range(25)
+    ])  # fmt: skip
+    rows.loc[24, "reason"] = None  # a table of schema 1
+    lines = list(not_ok_text(not_ok(rows)))
+    assert len(lines) == 22
+    assert (
+        lines[1]
+        == "  cell c24 ls: 9.6 % rejected, 14.4 % failed: the tables of this run hold no reasons"
+    )
+    behind = "the position lies behind an anchor that it uses (13.8 %)"
+    assert lines[2] == f"  cell c23 ls: 9.2 % rejected, 13.8 % failed: {behind}"
+    assert lines[-1] == "  and 4 more, see reason in summary.parquet"
+    assert list(not_ok_text(not_ok(rows[:1]))) == []
 
 
 def test_json_of_a_recording(call, recording, tmp_path):

@@ -12,7 +12,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from aoabench.maths import statistics
+from aoabench.columns import IDENTITY, SUMMARY
+from aoabench.maths import intervals, statistics
 from aoabench.maths.statistics import Estimate
 from aoabench.store.summary import QUANTILES, Clusters, position_sums, summarise
 from aoabench.studies.verdict import same_order, undecided, verdict
@@ -299,10 +300,18 @@ def test_summary_of_replications():
     frame = pd.DataFrame({
         "rmse_3d_m": rng.gamma(2, size=n), "rmse_xy_m": 1.0, "rmse_z_m": np.nan, "outcome": ["ok"] * 45 + ["failed"] * 5,
         "n_fixes": 10, "n_ok": [10] * 45 + [6] * 5, "n_rejected": 0, "n_oscillated": 0, "n_diverged": 0,
-        "n_failed": [0] * 45 + [4] * 5, "nees": 3.0, "iterations": np.nan,
+        "n_failed": [0] * 45 + [4] * 5, "nees": 3.0, "iterations": np.nan, "n_unmeasured": [0] * 49 + [5],
+        "n_imprecise": 1,
     })  # fmt: skip
     row = summarise(frame)
+    assert set(row) | set(IDENTITY) == set(SUMMARY)
     assert row["replications"] == n
+    assert (row["share_unmeasured"], row["share_imprecise"]) == (5 / 500, 50 / 500)
+    assert (row["reason"], math.isnan(row["share_reason"])) == (None, True)
+    assert row["rmse_pooled_3d_m_low"] == pytest.approx(
+        intervals.rmse_interval(frame["rmse_3d_m"], frame["n_ok"])[0]
+    )
+    assert row["rmse_mean_3d_m_high"] == intervals.mean_interval(frame["rmse_3d_m"])[1]
     assert row["failure_rate"] == pytest.approx(0.1)
     wilson = stats.binomtest(5, n).proportion_ci(method="wilson")
     assert (row["failure_rate_low"], row["failure_rate_high"]) == pytest.approx(
@@ -312,6 +321,51 @@ def test_summary_of_replications():
     assert math.isnan(row["rmse_mean_z_m"])
     assert row["rmse_q50_3d_m"] == pytest.approx(frame["rmse_3d_m"].median())
     assert row["nees_mean"] == 3.0
+
+
+@pytest.mark.parametrize("n", [1, 2, 30])
+def test_nothing_that_is_nan_has_a_standard_error_or_interval(n):
+    """Replications that all failed, also where their positions are shared; and a single one."""
+    frame = pd.DataFrame({
+        "rmse_3d_m": np.nan, "rmse_xy_m": np.nan, "rmse_z_m": np.nan, "outcome": ["failed"] * n,
+        "n_fixes": 7, "n_ok": 0, "n_rejected": 0, "n_oscillated": 0, "n_diverged": 0, "n_failed": 7,
+        "nees": np.nan, "iterations": np.nan, "n_unmeasured": 0, "n_imprecise": 0,
+    })  # fmt: skip
+    nothing = np.full((n, 7), np.nan)
+    sums = position_sums(nothing, nothing, nothing, np.zeros((n, 7), dtype=bool))
+    for row in (summarise(frame), summarise(frame, sums)):
+        assert row["failure_rate"] == 1
+        assert math.isnan(row["failure_rate_se"]) == (n == 1)
+        assert 0 < row["failure_rate_low"] < row["failure_rate_high"] == 1
+        values = [name for name in row if f"{name}_se" in row and name != "failure_rate"]
+        assert len(values) == 13
+        for name in values:
+            for end in ("", "_se", "_low", "_high"):
+                assert math.isnan(row.get(name + end, math.nan)), name + end
+
+
+def test_an_interval_clustered_by_position_is_students(rng):
+    error, plane, iterations, accepted = clustered(rng, 8, 40)
+    rmse = np.sqrt(np.nanmean(np.where(accepted, error, np.nan) ** 2, axis=1))
+    frame = pd.DataFrame({
+        "rmse_3d_m": rmse, "rmse_xy_m": 0.6 * rmse, "rmse_z_m": 0.8 * rmse, "outcome": "ok", "n_fixes": 40,
+        "n_ok": accepted.sum(axis=1), "n_rejected": (~accepted).sum(axis=1), "n_oscillated": 0, "n_diverged": 0,
+        "n_failed": 0, "nees": 3.0, "iterations": 2.0, "n_unmeasured": 0, "n_imprecise": 0,
+    })  # fmt: skip
+    row = summarise(frame, position_sums(error, plane, iterations, accepted))
+    for name in ("rmse_pooled_3d_m", "rmse_mean_xy_m"):
+        ends = stats.t.interval(0.95, 39, row[name], row[f"{name}_se"])
+        assert (row[f"{name}_low"], row[f"{name}_high"]) == pytest.approx(ends, rel=1e-12, abs=0)
+
+
+def test_a_standard_error_of_nan_is_nan():
+    assert math.isnan(Estimate(math.nan, 0.0).se)
+    assert math.isnan((Estimate(1.0, 0.1) - math.nan).se)
+    assert math.isnan(statistics.rate(1, 1).se)
+    assert statistics.rate(1, 1).value == 1.0
+    whole = statistics.jackknife(np.arange(5.0), lambda x: math.nan if len(x) == 5 else x.mean())
+    assert math.isnan(whole.value)
+    assert math.isnan(whole.se)
 
 
 def clustered(rng, R, P):

@@ -65,6 +65,93 @@ def test_singular_geometries_are_nan_and_leave_the_others_alone(anchors):
     assert np.isnan(gdop(points, anchors)).tolist() == [True, False]
 
 
+def upright(*positions):
+    B = len(positions)
+    return Anchors(np.array([positions], dtype=float), np.tile(np.eye(3), (1, B, 1, 1)))
+
+
+def around(point, distance, count=721, axis=(0, 0, 1.0)):
+    """Points on a circle around `point` across an axis."""
+    turn = np.linspace(0, 2 * np.pi, count)
+    plane = np.linalg.svd(np.array([axis]))[2][1:]
+    return point + distance * (np.cos(turn)[:, None] * plane[0] + np.sin(turn)[:, None] * plane[1])
+
+
+@pytest.mark.parametrize("height", [3.0, -2.0])
+@pytest.mark.parametrize("distance", [0, 1e-12, 1e-8, 1e-6, 1e-4])
+def test_gdop_beneath_a_single_anchor_is_its_height(height, distance):
+    """At rho from the foot the closed form is rho^2 across and (rho^2 + z^2)^2 / z^2 along; beside
+    the pole it is known up to rounding times the condition number (z / rho)^2.
+    """
+    one = upright([5, 5, height])
+    found = gdop(around(np.array([5.0, 5, 0]), distance, 9), one, known_z=True)
+    rounding = 4 * np.finfo(float).eps * (height / distance) ** 2 if distance == 1e-4 else 1e-11
+    closed = np.sqrt(distance**2 + (distance**2 + height**2) ** 2 / height**2)
+    assert np.allclose(found, closed, rtol=rounding, atol=0)
+    assert np.isnan(gdop(np.array([5.0, 5, 0]), one)), "the distance is not observed"
+
+
+@pytest.mark.parametrize("others", [[[9, 6, 3]], [[9, 6, 3], [1, 8, 2]], [[5, 5, -4], [9, 6, 3]]])
+@pytest.mark.parametrize("known_z", [True, False])
+def test_gdop_at_a_pole_is_the_largest_limit_from_all_sides(others, known_z):
+    """The values at 1e-2, 5e-3, 2.5e-3 m, extrapolated (even and odd orders), in every direction."""
+    foot, anchors = np.array([5.0, 5, 0]), upright([5, 5, 3], *others)
+    d = [gdop(around(foot, 1e-2 / 2**k), anchors, known_z=known_z) for k in range(3)]
+    limit = (d[0] - 6 * d[1] + 8 * d[2]) / 3
+    found = gdop(foot, anchors, known_z=known_z)
+    assert found == pytest.approx(limit.max(), rel=1e-5)
+    assert limit.max() > 1.001 * limit.min(), "the limit depends on the direction"
+    near = gdop(around(foot, 1e-6, 9), anchors, known_z=known_z)
+    assert np.allclose(near, found, rtol=1e-5)
+
+
+def test_gdop_at_a_pole_of_a_known_height_in_closed_form():
+    """1 / (1 / r^2 + the smallest eigenvalue of the others' information in the plane)."""
+    foot, others = np.array([5.0, 5, 0]), ([9, 6, 3], [1, 8, 2])
+    J = azel_information(foot, upright(*others), 1.0, 1.0)[:2, :2]
+    closed = 1 / np.sqrt(1 / 9 + np.linalg.eigvalsh(J)[0])
+    found = gdop(foot, upright([5, 5, 3], *others), known_z=True)
+    assert found == pytest.approx(closed, rel=1e-10)
+
+
+def test_gdop_on_the_axis_of_a_tilted_anchor():
+    """A horizontal axis at the target's height: azimuth tells nothing in the plane, beside the axis
+    as on it; in space both tell.
+    """
+    axis = np.array([0.6, 0.8, 0])
+    position = np.array([[[0, 0, 1], [8.0, 1, 3], [1, 7.0, 3]]])
+    frames = np.concatenate([facing(axis[None]), np.tile(np.eye(3), (2, 1, 1))])
+    anchors, point = Anchors(position, frames[None]), np.array([3.0, 4, 1])
+    beside = gdop(point + 1e-3 * np.array([[-0.8, 0.6, 0], [0.8, -0.6, 0]]), anchors, known_z=True)
+    assert gdop(point, anchors, known_z=True) == pytest.approx(beside.mean(), rel=1e-6)
+    d = [gdop(around(point, 1e-2 / 2**k, axis=axis), anchors) for k in range(3)]
+    limit = (d[0] - 6 * d[1] + 8 * d[2]) / 3
+    assert gdop(point, anchors) == pytest.approx(limit.max(), rel=1e-5)
+
+
+def test_information_at_a_pole_has_its_finite_entries():
+    """Those of the height, by the values beside it; across the axis it is infinite."""
+    foot, anchors = np.array([5.0, 5, 0]), upright([5, 5, 3], [9, 6, 3])
+    J = azel_information(foot, anchors, 0.1, 0.2)
+    near = azel_information(around(foot, 1e-7), anchors, 0.1, 0.2)
+    assert np.allclose(near[:, 2], J[2], atol=1e-5)
+    assert np.array_equal(J[:, 2], J[2])
+    assert np.array_equal(np.isinf(J), np.diag([True, True, False]))
+    assert np.isnan(J[0, 1])
+    assert np.isnan(J[1, 0])
+
+
+def test_a_map_of_a_room_has_no_hole_beneath_its_anchors():
+    anchors = upright([2, 2, 3], [8, 2, 3], [8, 8, 3], [2, 8, 3])
+    x, y = np.meshgrid(np.arange(0.0, 10.5, 0.5), np.arange(0.0, 10.5, 0.5))
+    value = gdop(np.stack([x, y, 0 * x], axis=-1), anchors, known_z=True)
+    assert value.shape == x.shape
+    assert np.isfinite(value).all()
+    beneath = value[(x % 6 == 2) & (y % 6 == 2)]
+    assert len(beneath) == 4
+    assert np.allclose(beneath, beneath[0], rtol=1e-9, atol=0), "by symmetry"
+
+
 def test_direction_information_is_the_mean_curvature_of_von_mises_fisher(anchors, rng):
     """Second differences of the log density, averaged over 4e5 draws of each anchor; within 1 %."""
     point, kappa, step = np.array([1.0, 2.0, -1.0]), 20.0, 1e-3

@@ -1,0 +1,96 @@
+"""Facts about the fixes of replications that follow from their measurements and anchors alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aoabench.maths.geometry import Array
+from aoabench.types import Batch, Estimates, Outcome
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the measurements and known anchors of R replications of T steps say.
+
+    unmeasured (R, T): no anchor has an azimuth, an elevation or a delay; centre (R, T|1, 3) m: the
+    mean of the anchors' positions; extent (R, T|1) m: the largest distance between two anchors, 0
+    for a single one; time (R, T) s.
+    """
+
+    unmeasured: np.ndarray
+    centre: Array
+    extent: Array
+    time: Array
+
+    @classmethod
+    def of(cls, batch: Batch, recorded: bool = False) -> Inputs:
+        """The facts about a batch. The times of a recording are NaN: the log keeps its own."""
+        unmeasured = np.isnan(batch.azimuth) & np.isnan(batch.elevation)
+        if batch.delay is not None:
+            unmeasured &= np.isnan(batch.delay)
+        shape = unmeasured.shape[:2]
+        centre, extent = _layout(batch.anchors.position)
+        time = np.nan if recorded or batch.time is None else batch.time
+        return cls(
+            np.asarray(unmeasured.all(axis=2)),
+            np.broadcast_to(centre, (shape[0], *centre.shape[1:])),
+            np.broadcast_to(extent, (shape[0], *extent.shape[1:])),
+            np.broadcast_to(time, shape),
+        )
+
+    @classmethod
+    def joined(cls, tiles: Sequence[Inputs]) -> Inputs:
+        """The facts about the replications of several tiles, one after the other."""
+        names = ("unmeasured", "centre", "extent", "time")
+        return cls(*(np.concatenate([getattr(tile, name) for tile in tiles]) for name in names))
+
+    def imprecise(self, estimates: Estimates) -> np.ndarray:
+        """Whether the largest standard deviation of a fix, in any direction, exceeds both the
+        anchors' extent and the fix's distance from their centre, (R, T).
+
+        The deviation is the root of the largest eigenvalue of the covariance; of its x, y block
+        where z is NaN. An infinite covariance is imprecise; a fix without a position or with NaN
+        in its covariance is not.
+        """
+        given = ~np.isin(estimates.outcome, (Outcome.FAILED, Outcome.REJECTED))
+        P, offset = estimates.covariance, estimates.position - self.centre
+        if P is None:
+            return np.zeros(given.shape, dtype=bool)
+        flat = np.isnan(offset[..., 2]) | np.isnan(P[..., 2, 2])
+        if flat.any():
+            offset[..., 2] = np.where(np.isnan(offset[..., 2]), 0.0, offset[..., 2])
+            P = np.where(flat[..., None, None] & _OF_Z, 0.0, P)
+        limit = np.maximum(self.extent**2, (offset**2).sum(axis=-1))
+        with np.errstate(over="ignore", invalid="ignore"):
+            norm = np.einsum("rtij,rtij->rt", P, P)  # at least the largest eigenvalue's square
+            suspect = given & ~(norm <= limit**2)
+        if suspect.any():
+            suspect[suspect] = _larger(P[suspect], limit[suspect])
+        return np.asarray(suspect)
+
+
+_OF_Z = np.array([[False, False, True], [False, False, True], [True, True, True]])
+
+
+def _larger(P: Array, limit: Array) -> np.ndarray:
+    """Whether the largest eigenvalue of covariances (K, 3, 3) m^2 exceeds `limit` (K,) m^2."""
+    finite = np.asarray(np.isfinite(P).all((-1, -2)))
+    largest = np.linalg.eigvalsh(np.where(finite[:, None, None], P, 0.0))[:, -1]
+    return np.asarray(np.where(finite, largest > limit, np.isinf(P).any((-1, -2))))
+
+
+def _layout(position: Array) -> tuple[Array, Array]:
+    """Centre (R|1, T|1, 3) m and extent (R|1, T|1) m of anchors (R|1, T|1, B, 3) m; those with a
+    NaN position are left out.
+    """
+    known = np.isfinite(position).all(axis=-1, keepdims=True)
+    count = np.maximum(known.sum(axis=2), 1)
+    centre = np.where(known, position, 0.0).sum(axis=2) / count
+    extent = np.zeros(position.shape[:2])
+    for b in range(position.shape[2]):
+        apart = np.linalg.norm(position - position[:, :, b : b + 1], axis=-1)
+        extent = np.fmax(extent, np.fmax.reduce(apart, axis=2))
+    return centre, extent
