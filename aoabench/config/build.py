@@ -11,6 +11,7 @@ from typing import Any
 
 from aoabench.cell import Cell, RunnerOptions, Until
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
+from aoabench.config.heard import check_heard
 from aoabench.config.plugins import construct, import_plugins
 from aoabench.config.presets import options
 from aoabench.errors import BadValue, Unfit, UserError, check_number, did_you_mean
@@ -56,6 +57,7 @@ def build(
     noise = as_noise(construct(plain["noise"], "noise", plugins), "noise")
     estimators = _estimators(plain, plugins, choices.get("experiment")) | _extra(plain, extra or {})
     _check_fit(estimators, scenario, noise, choices)
+    notes += check_heard(scenario, plain["seed"])
     groups = ("scenario", "noise", "filter", "estimator")
     return Cell(
         scenario_name=choices["scenario"],
