@@ -15,6 +15,7 @@ from aoabench.errors import BadValue
 from aoabench.maths.geometry import Array
 
 SAME_SIZE = 4.0
+APART = 0.25  # walls further from the rest, in spans of the larger one, belong to another place
 FAR_M, FAR_SPANS = 1000.0, 20.0  # anchors further from the target than both do not belong to it
 DEGREES = 1e-2  # anchors that span less than this, and not 0, may be longitudes and latitudes
 
@@ -73,7 +74,7 @@ def check_walls(
     unit: str | None,
     sights: bool,
 ) -> None:
-    """Raise BadValue for walls in another unit than the `others`, or where nothing can meet them.
+    """Raise BadValue for walls in another unit or in another place than the `others`.
 
     `units` are the known units in m, `unit` the declared one or None. `sights`: whether all lines
     of sight lie within the box of the `others`.
@@ -81,21 +82,15 @@ def check_walls(
     box, rest = Box.around(walls.points), Box.around(*(o.points for o in others))
     names = " and ".join(o.words for o in others)
     now = units[unit or "m"]
+    spans = f"walls span {box.span:.6g} m, {names} {rest.span:.6g} m"
     for other, size in units.items():
-        if other != (unit or "m") and box.scaled(size / now).fits(rest):
-            if unit is None:
-                allowed = (
-                    f"walls of the size of {names}; walls span {box.span:.6g} m, {names} "
-                    f"{rest.span:.6g} m: scenario.walls_unit={other}? (or m, if that is right)"
-                )
-                raise BadValue(walls.key, walls.value, allowed)
-            if unit != "m":
-                allowed = (
-                    f"the unit of the walls, perhaps {other}; in {unit} they span "
-                    f"{box.span:.6g} m, {names} {rest.span:.6g} m"
-                )
-                raise BadValue("walls_unit", unit, allowed)
-    if sights and box.gap(rest) > 0:
+        if unit == "m" or other == (unit or "m") or not box.scaled(size / now).fits(rest):
+            continue
+        if unit is None:
+            allowed = f"walls of the size of {names}; {spans}: scenario.walls_unit={other}? (or m)"
+            raise BadValue(walls.key, walls.value, allowed)
+        raise BadValue("walls_unit", unit, f"the unit of the walls, perhaps {other}; {spans}")
+    if sights and box.gap(rest) > APART * max(box.span, rest.span):
         allowed = (
             f"walls in the coordinates of {names}; walls lie within {box} m, "
             f"{names} within {rest} m"
@@ -111,8 +106,8 @@ def check_anchors(anchors: Thing, target: Thing, walls: Thing | None = None) -> 
         if box.scaled(1e-3).fits(rest):
             names = " and ".join(o.words for o in others)
             allowed = (
-                f"coordinates in m; {thing.words} span {box.span:.6g} m, "
-                f"{names} {rest.span:.6g} m: are {thing.words} in mm?"
+                f"coordinates in m; {thing.words}: {box.span:.6g} m across, "
+                f"{names}: {rest.span:.6g} m; {thing.words} in mm?"
             )
             raise BadValue(thing.key, thing.value, allowed)
     box, way = Box.around(anchors.points), Box.around(target.points)
