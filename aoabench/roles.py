@@ -25,7 +25,7 @@ NEEDS = {
     "motion": ("scenario", "one with a motion model"),
     "prior": ("scenario", "one with a prior"),
     "height": ("scenario", "one whose target has a known height, or a height_m of the estimator"),
-    "several_anchors": ("scenario", "one with two or more anchors"),
+    "several_anchors": ("scenario", "one in which two or more anchors measure at a time"),
     "truth": ("scenario", "one whose true positions are known"),
     "elevation": ("noise", "one that measures elevations"),
     "delay": ("noise", "one that measures times of arrival, such as ofdm_crlb"),

@@ -94,8 +94,8 @@ def _check_columns(key: str, path: str, present: Sequence[str]) -> None:
             raise BadValue(key, path, f"{SCHEMA}; it has {', '.join(present)}{hint}")
     for column in present:
         word = re.split(r"[ _(\[]", column.strip().lower())[0]
-        for name, others in _OTHER_WORDS.items():
-            if name not in present and word in others:
+        for name, words in _OTHER_WORDS.items():
+            if name not in present and word in words:
                 allowed = (
                     f"{SCHEMA}; it has {column!r}, which is not read: "
                     f"call it {name} if it is that, or else by another word"

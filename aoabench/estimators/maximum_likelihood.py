@@ -60,6 +60,10 @@ class GaussNewton(Compiled, Estimator):
     tile = 1
     kernels = KERNELS
 
+    @property
+    def needs(self) -> frozenset[str]:
+        return frozenset({"elevation", "several_anchors"})
+
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix, the number of updates, and the outcome of the iteration."""
         compiled = self.compiled(batch.anchors)

@@ -16,13 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aoabench.errors import Unfit
 from aoabench.estimators.lines import nearest_point
 from aoabench.estimators.parameters import clip_param, tolerance_param, updates_param
 from aoabench.estimators.plane import clipped, directions, plane_of
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import solve
 from aoabench.params import param
-from aoabench.roles import Estimator, Noise, Scenario
+from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
 
@@ -57,7 +58,8 @@ class VmfLikelihood(Estimator):
     def check(self, scenario: Scenario, noise: Noise) -> None:
         """Raise Unfit as all estimators do, and UserError if an anchor lies in the plane."""
         super().check(scenario, noise)
-        self._height(scenario)
+        if self._height(scenario) is None and "several_anchors" not in scenario.offers():
+            raise Unfit(*NEEDS["several_anchors"])
 
     def _height(self, scenario: Scenario) -> float | None:
         if self.height_m == FREE or (self.height_m is None and scenario.known_height_m is None):

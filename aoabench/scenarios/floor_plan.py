@@ -10,7 +10,7 @@ import numpy as np
 
 from aoabench.devices import plan
 from aoabench.devices.anchors import AnchorsFile, read_anchors
-from aoabench.devices.extent import Thing, check_anchors, check_walls
+from aoabench.devices.extent import Box, Thing, check_anchors, check_walls
 from aoabench.devices.sight import faces_along, in_sight, on_walls
 from aoabench.errors import BadValue
 from aoabench.maths.geometry import Array
@@ -76,13 +76,24 @@ class FloorPlan:
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks to print."""
-        if self.walls is None or self.known.facing is None:
+        if self.walls is None:
             return self.known.notes
-        both = faces_along(self.position, self.walls, self.known.facing)
-        if not both:
-            return self.known.notes
-        some = ", ".join(self.known.ids[j] for j in both[:10]) + ", ..." * (len(both) > 10)
-        line = (
-            f"access nodes {some} stand on a wall and face along it, so they see both sides of it"
-        )
-        return (*self.known.notes, f"{line}; facing_deg decides the side")
+        box, flat = Box.around(self.walls), self.position[:, :2]
+        outside = ((flat < box.low) | (flat > box.high)).any(axis=1)
+        outside &= ~on_walls(flat, self.walls).any(axis=1)
+        found = [*self.known.notes]
+        if outside.any():
+            line = (
+                f"outside the walls, which lie within {box} m; are x_m and y_m those of the plan?"
+            )
+            found.append(f"access nodes {self._ids(np.flatnonzero(outside))} stand {line}")
+        if self.known.facing is not None:
+            both = faces_along(self.position, self.walls, self.known.facing)
+            line = "stand on a wall and face along it, so they see both sides"
+            if both:
+                found.append(f"access nodes {self._ids(both)} {line}; facing_deg decides the side")
+        return tuple(found)
+
+    def _ids(self, which: Sequence[int] | np.ndarray) -> str:
+        """The ids of some anchors, at most ten of them."""
+        return ", ".join(self.known.ids[j] for j in which[:10]) + ", ..." * (len(which) > 10)

@@ -186,6 +186,10 @@ class IndoorMap(Scenario):
         """Lines about the files, to print."""
         return self._plan.notes
 
+    def offers(self) -> frozenset[str]:
+        """The offers of all scenarios, less several anchors if only the nearest reports."""
+        return super().offers() - (frozenset({"several_anchors"} if self.nearest == 1 else ()))
+
     def unheard(self) -> BadValue:
         """The error for a trip on which no AN measures."""
         words = (

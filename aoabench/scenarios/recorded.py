@@ -211,6 +211,12 @@ class Recorded(Scenario):
         upright = np.zeros_like(anchors.rotation) + np.eye(3)
         return anchors if own else Anchors(anchors.position, upright)
 
+    def offers(self) -> frozenset[str]:
+        """The offers of all scenarios, less several anchors if no fix has measurements by two."""
+        heard = np.isfinite(self.recorded.azimuth).sum(axis=1)
+        lone = heard.max(initial=0) < 2
+        return super().offers() - (frozenset({"several_anchors"} if lone else ()))
+
     def unheard(self) -> BadValue:
         """The error for a log without any measurement."""
         empty = "; every angle is empty, or was taken as not measured (scenario.negative_sigma)"
