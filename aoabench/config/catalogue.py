@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
-from aoabench.config.compose import hydra_initialised, resolved, with_defaults
+from aoabench.config.nodes import hydra_initialised, resolved, with_defaults
 from aoabench.config.plugins import construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError, did_you_mean

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from aoabench.config import catalogue
 from aoabench.errors import BadValue, Unfit
 from aoabench.roles import Estimator, Noise, Scenario
 
@@ -39,8 +40,6 @@ def _instead(
     group: str, recorded: bool, estimator: Estimator, scenario: Scenario, noise: Noise
 ) -> str:
     """What fits in place of the preset of `group`, as the end of a message."""
-    from aoabench.config import catalogue  # it imports `compose`, which imports this module
-
     if recorded:
         found = catalogue.fitting_estimators(scenario, noise)
         height = "height" in estimator.needs - scenario.offers()

@@ -15,11 +15,11 @@ import numpy as np
 
 from aoabench.devices import plan
 from aoabench.devices.anchors import SCHEMA
+from aoabench.devices.floor_plan import FloorPlan
 from aoabench.errors import BadValue, check_array
 from aoabench.maths.geometry import Array
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario
-from aoabench.scenarios.floor_plan import FloorPlan
 from aoabench.scenarios.parameters import least_heard_param, name_param
 from aoabench.scenarios.route import RoundedRoute
 from aoabench.types import Anchors

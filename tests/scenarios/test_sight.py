@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import shapely
 
+from aoabench.devices.floor_plan import FloorPlan
 from aoabench.devices.sight import ON_WALL, faces_along, in_sight
-from aoabench.scenarios.floor_plan import FloorPlan
 
 ROOM = np.array([[[0, 0], [12, 0]], [[12, 0], [12, 6]], [[12, 6], [0, 6]], [[0, 6], [0, 0]]], float)
 
