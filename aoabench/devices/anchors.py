@@ -42,13 +42,15 @@ _OTHER_WORDS = {
 
 class AnchorsFile(NamedTuple):
     """A file's content: ids, anchors (1, 1, B, ...), the direction (B,) rad that each faces, seen
-    from above, None if the file states none, and remarks to print.
+    from above, None if the file states none, remarks to print, and whether the ids are the numbers
+    of the rows, because the file states none.
     """
 
     ids: list[str]
     anchors: Anchors
     facing: Array | None
     notes: tuple[str, ...]
+    numbered: bool = False
 
 
 def read_anchors(key: str, path: str) -> AnchorsFile:
@@ -71,7 +73,8 @@ def read_anchors(key: str, path: str) -> AnchorsFile:
     facing, pitch, roll = np.deg2rad(turns)
     found = Anchors(np.stack([x, y, z], axis=-1), _rotations(facing, pitch, roll))
     known = facing if "facing_deg" in present else None
-    return AnchorsFile(ids, found, known, tuple(_doubts(path, turns[0])))
+    notes = (*_doubts(path, turns[0]), *_high(path, x, y, z))
+    return AnchorsFile(ids, found, known, notes, "id" not in present)
 
 
 def _rotations(facing: Array, pitch: Array, roll: Array) -> Array:
@@ -89,8 +92,7 @@ def _check_columns(key: str, path: str, present: Sequence[str]) -> None:
     """Raise BadValue for columns that are missing, repeated or nearly called as in the schema."""
     for name in COLUMNS:
         if present.count(name) > 1 or (name in REQUIRED and name not in present):
-            others = [one for one in present if one not in COLUMNS]
-            hint = did_you_mean(name, others) if name not in present else ""
+            hint = _hint(name, [one for one in present if one not in COLUMNS])
             raise BadValue(key, path, f"{SCHEMA}; it has {', '.join(present)}{hint}")
     for column in present:
         word = re.split(r"[ _(\[]", column.strip().lower())[0]
@@ -101,6 +103,15 @@ def _check_columns(key: str, path: str, present: Sequence[str]) -> None:
                     f"call it {name} if it is that, or else by another word"
                 )
                 raise BadValue(key, path, allowed)
+
+
+def _hint(name: str, others: Sequence[str]) -> str:
+    """What may be wrong with a file that lacks the column `name` but has `others`."""
+    if any(one.lower().startswith(("lat", "lon", "lng")) for one in others):
+        return "; degrees of latitude and longitude are not supported yet: convert them to local m"
+    if any(mark in one for one in others for mark in ";\t"):
+        return "; cells are separated by commas"
+    return did_you_mean(name, others)
 
 
 def _ids(table: Table) -> list[str]:
@@ -120,3 +131,11 @@ def _doubts(path: str, facing_deg: Array) -> list[str]:
     if not len(turned) or not odd.all() or np.abs(turned).max() > 2 * np.pi + 1e-2:
         return []
     return [f"{path}: facing_deg has multiples of pi/4; facings are read in deg, not in rad"]
+
+
+def _high(path: str, x: Array, y: Array, z: Array) -> list[str]:
+    """A warning line if heights (B,) m are far larger than distances, else an empty list."""
+    span, top = max(np.ptp(x), np.ptp(y)), np.abs(z).max()
+    if span == 0 or top <= max(100.0, 20.0 * span):
+        return []
+    return [f"{path}: z_m reaches {top:g}, x_m and y_m span {span:.4g}; all are read in m"]

@@ -246,7 +246,12 @@ class Recorded(Scenario):
         ids = self._anchors.ids
         table = Table.read("path", self.path, self._chosen())
         strict = self.unknown_anchors == "error"
-        table, anchor, notes = log.known_anchors(table, ids, strict)
+        try:
+            table, anchor, notes = log.known_anchors(table, ids, strict)
+        except BadValue as error:
+            why = f"; {self.anchors} has no column id, so that its anchors are called 1, 2, ..."
+            more = why * self._anchors.numbered
+            raise BadValue(error.key, error.value, error.allowed + more) from None
         fix, T = log.fixes(table, self.time_unit, self.window_s)
         values = log.angles(table, self._conventions)
         rssi, lines = log.strengths(table, self.rssi_absent)

@@ -67,6 +67,9 @@ def test_a_file_without_ids_has_numbers_from_1(here):
     measured = by_log("a.csv").recorded.azimuth
     np.testing.assert_allclose(np.rad2deg(measured), [[np.nan, 10]])
     assert read_anchors("anchors", "a.csv").ids == ["1", "2"]
+    Path("log.csv").write_text("fix,anchor,azimuth_deg\n1,b,10\n")
+    with pytest.raises(UserError, match=r"one of 1, 2 .*='b'; a.csv has no column id"):
+        Recorded("own", "log.csv", "a.csv")
 
 
 def test_the_shipped_anchors_are_a_file_like_any_other(here):
@@ -91,7 +94,8 @@ BAD = {
     "tilt": ("x_m,y_m,Tilt (deg)\n1,2,90\n", ["'Tilt (deg)'", "call it pitch_deg"]),
     "height": ("x_m,y_m,height_m\n1,2,3\n", ["'height_m'", "call it z_m"]),
     "roll in rad": ("x_m,y_m,roll_rad\n1,2,3\n", ["'roll_rad'", "call it roll_deg"]),
-    "semicolons": ("x_m;y_m\n1;2\n", ["it has x_m;y_m"]),
+    "semicolons": ("x_m;y_m\n1;2\n", ["it has x_m;y_m", "separated by commas"]),
+    "degrees": ("lat,lon\n60,24\n", ["it has lat, lon", "degrees", "local m"]),
 }  # fmt: skip
 
 
@@ -119,3 +123,12 @@ def test_facings_in_rad_are_doubted(here):
         Path("a.csv").write_text("x_m,y_m,facing_deg\n" + rows)
         for scenario in (by_map("a.csv"), by_log("a.csv")):
             assert any("not in rad" in line for line in scenario.notes) == doubted, facings
+
+
+def test_heights_in_mm_are_doubted(here):
+    for z, doubted in ((2500, True), (2.5, False), (99, False), (-3000, True)):
+        Path("a.csv").write_text(f"x_m,y_m,z_m\n0,0,{z}\n12,6,{z}\n")
+        for scenario in (by_map("a.csv"), by_log("a.csv")):
+            assert any("read in m" in line for line in scenario.notes) == doubted, z
+    Path("a.csv").write_text("x_m,y_m,z_m\n0,0,2500\n")
+    assert by_map("a.csv").notes == ()
