@@ -268,6 +268,7 @@ NEEDS = {  # an estimator that needs something, a log that has it not, and words
     "truth": ("estimator=[best_anchor]", WHOLE.replace("x_m,y_m", "u,v").replace("z_m", "w"), ["scenario='recorded'", "estimator.best_anchor needs"]),
     "several anchors": ("estimator=[ls_lines]", LONELY, ["two or more anchors measure at a time", "estimator.ls_lines needs"]),
     "several anchors, height free": ("estimator=[vmf_ml]", LONELY, ["two or more anchors measure at a time", "estimator.vmf_ml needs"]),
+    "an anchor": ("estimator=[single_anchor_2]", WHOLE.replace("1,b", "1,c"), ["estimator.single_anchor_2.anchor=2", "an anchor that measured: 1, 3"]),
     "delay": ("estimator=[wcg]", WHOLE, ["times of arrival", "estimator.wcg needs", FITS]),
     "motion": ("filter=[ekf_vmf]", WHOLE, ["scenario='recorded'", "motion model", "filter.ekf_vmf needs", FITS]),
     "stated deviations": ("filter=[ekf_aoa]", WHOLE, ["filter.ekf_aoa needs", FITS]),
