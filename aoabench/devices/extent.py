@@ -6,7 +6,7 @@ box, converted to m, overlaps that of the others and is at most SAME_SIZE times 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -69,27 +69,37 @@ class Thing(NamedTuple):
 
 def check_walls(
     walls: Thing,
-    others: Sequence[Thing],
+    anchors: Thing,
+    target: Thing,
     units: Mapping[str, float],
     unit: str | None,
     sights: bool,
 ) -> None:
-    """Raise BadValue for walls in another unit or in another place than the `others`.
+    """Raise BadValue for walls in another unit or in another place than anchors and target.
 
-    `units` are the known units in m, `unit` the declared one or None. `sights`: whether all lines
-    of sight lie within the box of the `others`.
+    `units` are the known units in m, `unit` the declared one, None for m. `sights`: whether all
+    lines of sight lie within the box of anchors and target. If m is declared, units are taken as
+    given.
     """
-    box, rest = Box.around(walls.points), Box.around(*(o.points for o in others))
-    names = " and ".join(o.words for o in others)
-    now = units[unit or "m"]
+    box, rest = Box.around(walls.points), Box.around(anchors.points, target.points)
+    names = f"{anchors.words} and {target.words}"
     spans = f"walls span {box.span:.6g} m, {names} {rest.span:.6g} m"
-    for other, size in units.items():
-        if unit == "m" or other == (unit or "m") or not box.scaled(size / now).fits(rest):
-            continue
-        if unit is None:
+    others = [] if unit == "m" else [one for one in units if one != (unit or "m")]
+    for other in others:
+        factor = units[other] / units[unit or "m"]
+        if box.scaled(factor).fits(rest):
+            if unit is not None:
+                raise BadValue("walls_unit", unit, f"perhaps {other}; {spans}")
             allowed = f"walls of the size of {names}; {spans}: scenario.walls_unit={other}? (or m)"
             raise BadValue(walls.key, walls.value, allowed)
-        raise BadValue("walls_unit", unit, f"the unit of the walls, perhaps {other}; {spans}")
+        nodes, way = Box.around(anchors.points), Box.around(target.points)
+        if unit is None and all(one.scaled(factor).fits(way) for one in (box, nodes)):
+            allowed = (
+                f"walls of the size of {target.words}; walls span {box.span:.6g} m, "
+                f"{anchors.words} {nodes.span:.6g} m, {target.words} {way.span:.6g} m: "
+                f"walls and {anchors.words} in {other}? (scenario.walls_unit=m if in m)"
+            )
+            raise BadValue(walls.key, walls.value, allowed)
     if sights and box.gap(rest) > APART * max(box.span, rest.span):
         allowed = (
             f"walls in the coordinates of {names}; walls lie within {box} m, "

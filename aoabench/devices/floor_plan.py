@@ -61,7 +61,7 @@ class FloorPlan:
             return
         walls = Thing("walls", "walls", names[1], self.walls)
         check_anchors(nodes, target, walls)
-        check_walls(walls, (nodes, target), plan.UNITS, self.unit, sights=not wanders)
+        check_walls(walls, nodes, target, plan.UNITS, self.unit, sights=not wanders)
         if self.known.facing is None and on_walls(self.position, self.walls).any():
             allowed = (
                 "a file with the column facing_deg, because access nodes stand on walls: "

@@ -72,7 +72,7 @@ class SingleAnchor(_OnPlane):
             integer=True,
         )
         if scenario.recorded is not None:
-            heard = np.isfinite(scenario.recorded.azimuth).any(axis=0)
+            heard: np.ndarray = np.asarray(np.isfinite(scenario.recorded.azimuth).any(axis=0))
             if not heard[self.anchor - 1]:
                 numbers = ", ".join(str(j + 1) for j in np.flatnonzero(heard))
                 raise BadValue("anchor", self.anchor, f"an anchor that measured: {numbers}")

@@ -192,12 +192,11 @@ class IndoorMap(Scenario):
 
     def unheard(self) -> BadValue:
         """The error for a trip on which no AN measures."""
-        words = (
-            "a route with points that see an access node (access nodes on a wall that face away "
-            "from the route? a route outside the building? walls between?)"
+        allowed = (
+            "a route that sees access nodes; no point of the route sees any access node (on a wall "
+            "that they face away from? a route outside the building? walls between?)"
         )
-        key = "route" if self.truth_from == "route" else "truth_from"
-        return BadValue(key, getattr(self, key), f"{words}; no point sees any")
+        return BadValue("route", self.route, allowed)
 
     def _nearest(self, points: Array, seen: np.ndarray) -> np.ndarray:
         """Mask (N, B) of the nearest ANs in `seen` (N, B); ties go to the first in the file."""

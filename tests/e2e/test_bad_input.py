@@ -217,8 +217,8 @@ PLAN = ["run", "scenario=indoor_map", "scenario.anchors=a.csv", "scenario.walls=
         "scenario.corner_radius_m=0.3", "noise=ae_normal", "filter=[ekf_aoa]"]  # fmt: skip
 
 PLANS = {
-    "anchors face away": (OUTWARD, WALLS, [ROUTE], ["scenario.route=", "access nodes on a wall that face away", "no point sees any"]),
-    "route outside": (NODES, WALLS, [AWAY], ["scenario.route=", "a route outside the building", "no point sees any"]),
+    "anchors face away": (OUTWARD, WALLS, [ROUTE], ["scenario.route=", "on a wall that they face away from?", "no point of the route sees any access node"]),
+    "route outside": (NODES, WALLS, [AWAY], ["scenario.route=", "a route outside the building", "no point of the route sees any access node"]),
     "nobody knows the side": (NODES.replace(",facing_deg", ",note"), WALLS, [ROUTE], ["scenario.anchors='a.csv'", "facing_deg"]),
     "degrees": (INWARD, DEGREES, [ROUTE], ["scenario.walls='", "w.csv'", "degrees", "scenario.walls_crs=local"]),
     "wgs84": (INWARD, DEGREES, [ROUTE, "scenario.walls_crs=wgs84"], ["scenario.walls_crs='wgs84'", "not supported yet"]),
@@ -229,7 +229,7 @@ PLANS = {
     "empty": ("", WALLS, [ROUTE], ["scenario.anchors=", "line 1 is empty"]),
     "no walls": (INWARD, "", [ROUTE], ["scenario.walls=", "columns x0_m"]),
     "share": (INWARD, WALLS, [ROUTE, "scenario.least_heard=2"], ["scenario.least_heard=2", "<= 1"]),
-    "elsewhere": (INWARD, WALLS, ["scenario.route=[[901,1],[911,1],[911,5]]"], ["scenario.route=", "no point sees any"]),
+    "elsewhere": (INWARD, WALLS, ["scenario.route=[[901,1],[911,1],[911,5]]"], ["scenario.route=", "no point of the route sees any access node"]),
     "another country": (INWARD, WALLS, ["scenario.route=[[500001,1],[500011,1],[500011,5]]"], ["scenario.anchors='a.csv'", "same coordinates"]),
 }  # fmt: skip
 

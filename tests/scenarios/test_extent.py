@@ -115,6 +115,15 @@ def test_stated_units_and_reference_systems_are_not_overlooked():
     assert plan(more={"crs": None, "units": "m"}).wall_segments.max() == 12
 
 
+def test_plan_and_nodes_in_mm_beside_a_route_in_m():
+    both = {"walls": scaled(ROOM, 1000), "nodes": scaled(NODES, 1000)}
+    refused(
+        "walls=", "access nodes 12000 m, the route 10 m", "walls and access nodes in mm?", **both
+    )
+    refused("anchors=", "access nodes in mm?", **both, walls_unit="mm")
+    plan(**both, walls_unit="m")
+
+
 def test_places_that_do_not_meet():
     refused("walls=", "walls lie within x 500 to 512", walls=scaled(ROOM, 1, (500, 0)))
     utm = (500_000, 5_000_000)
