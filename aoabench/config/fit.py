@@ -7,9 +7,13 @@ from typing import Any
 
 from aoabench.config import catalogue
 from aoabench.errors import BadValue, Unfit
-from aoabench.roles import Estimator, Noise, Scenario
+from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 
 _MOST = 12  # number of names in a message
+_ADVICE = {  # parameters of a recording that may mend what it lacks
+    "height": "; scenario.height_m states it",
+    "several_anchors": "; scenario.window_s puts rows of nearly equal times into one fix",
+}
 
 
 def check_fit(
@@ -27,23 +31,20 @@ def check_fit(
         try:
             estimator.check(scenario, noise)
         except Unfit as error:
-            recorded = scenario.recorded is not None
-            group = "scenario" if recorded else error.group
-            rest = _instead(group, recorded, estimator, scenario, noise)
+            group = error.group if scenario.recorded is None else "scenario"
+            rest = _instead(error, estimator, scenario, noise)
             allowed = f"{error.allowed}, which {path} needs{rest}"
             raise BadValue(group, choices[group], allowed) from None
         except BadValue as error:
             raise BadValue(f"{path}.{error.key}", error.value, error.allowed) from None
 
 
-def _instead(
-    group: str, recorded: bool, estimator: Estimator, scenario: Scenario, noise: Noise
-) -> str:
-    """What fits in place of the preset of `group`, as the end of a message."""
-    if recorded:
+def _instead(error: Unfit, estimator: Estimator, scenario: Scenario, noise: Noise) -> str:
+    """What mends an error or fits in place of the preset at fault, as the end of a message."""
+    group, lacks = error.group, error.allowed
+    if scenario.recorded is not None:
         found = catalogue.fitting_estimators(scenario, noise)
-        height = "height" in estimator.needs - scenario.offers()
-        advice = "; scenario.height_m states it" if height else ""
+        advice = "".join(text for need, text in _ADVICE.items() if NEEDS[need][1] == lacks)
         some = [f"{one}=[{','.join(names)}]" for one, names in found.items() if names]
         return f"{advice}; with this recording fit {' '.join(some) or 'no shipped estimators'}"
     names = (

@@ -266,7 +266,7 @@ NEEDS = {  # an estimator that needs something, a log that has it not, and words
     "height": ("estimator=[anchor_mean]", WHOLE.replace("z_m", "up"), ["a known height", "estimator.anchor_mean needs", "scenario.height_m", FITS, "ls_lines"]),
     "height of discrepancy": ("estimator=[discrepancy]", WHOLE.replace("4,1,1", "4,1,2"), ["a known height", "estimator.discrepancy needs", "scenario.height_m"]),
     "truth": ("estimator=[best_anchor]", WHOLE.replace("x_m,y_m", "u,v").replace("z_m", "w"), ["scenario='recorded'", "estimator.best_anchor needs"]),
-    "several anchors": ("estimator=[ls_lines]", LONELY, ["two or more anchors measure at a time", "estimator.ls_lines needs"]),
+    "several anchors": ("estimator=[ls_lines]", LONELY, ["two or more anchors measure at a time", "estimator.ls_lines needs", "scenario.window_s"]),
     "several anchors, height free": ("estimator=[vmf_ml]", LONELY, ["two or more anchors measure at a time", "estimator.vmf_ml needs"]),
     "an anchor": ("estimator=[single_anchor_2]", WHOLE.replace("1,b", "1,c"), ["estimator.single_anchor_2.anchor=2", "an anchor that measured: 1, 3"]),
     "delay": ("estimator=[wcg]", WHOLE, ["times of arrival", "estimator.wcg needs", FITS]),
