@@ -1,8 +1,7 @@
 """Roles of plug-ins: scenario, noise, motion model, measurement model, estimator, filter.
 
-Each role is a plain base class. Optional attributes and methods have a default in the base class,
-so that a type checker sees them. The base classes are not dataclasses: each plug-in declares its
-own fields.
+Each role is a plain base class, in which optional attributes and methods have a default. The base
+classes are not dataclasses: each plug-in declares its own fields.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ NEEDS = {
     "motion": ("scenario", "one with a motion model"),
     "prior": ("scenario", "one with a prior"),
     "height": ("scenario", "one whose target has a known height, or a height_m of the estimator"),
-    "several_anchors": ("scenario", "one with two or more anchors"),
+    "several_anchors": ("scenario", "one in which two or more anchors measure at a time"),
     "truth": ("scenario", "one whose true positions are known"),
     "elevation": ("noise", "one that measures elevations"),
     "delay": ("noise", "one that measures times of arrival, such as ofdm_crlb"),
@@ -48,7 +47,8 @@ class Scenario(CheckedParams):
 
     name: key of the random streams. dt: time step in s. motion: the motion model of the filters,
     None where each fix is independent. shares_positions: whether all replications have the same
-    true positions. replications: number of replications, None for any number.
+    true positions. replications: number of replications, None for any number. least_heard: share
+    of the steps with a measurement below which a run prints a warning.
     """
 
     name: str
@@ -56,6 +56,7 @@ class Scenario(CheckedParams):
     motion: Motion | None = None
     shares_positions: bool = False
     replications: int | None = None
+    least_heard: float = 0.1
 
     @property
     def true_anchors(self) -> Anchors:
@@ -103,6 +104,10 @@ class Scenario(CheckedParams):
     def hears(self, points: Array) -> np.ndarray | None:
         """Mask (T, B) of the anchors that measure a target at points (T, 3) m; None for all."""
         return None
+
+    def unheard(self) -> BadValue:
+        """The error for a run in which no anchor measures anything; its key is a parameter."""
+        return BadValue("name", self.name, "a scenario in which an anchor measures at some step")
 
     def day_of(self, steps: int) -> np.ndarray:
         """The number (T,) of the day that each step belongs to, from 0."""

@@ -11,10 +11,12 @@ from typing import Any
 
 from aoabench.cell import Cell, RunnerOptions, Until
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
+from aoabench.config.fit import check_fit
+from aoabench.config.heard import check_heard
 from aoabench.config.plugins import construct, import_plugins
 from aoabench.config.presets import options
-from aoabench.errors import BadValue, Unfit, UserError, check_number, did_you_mean
-from aoabench.roles import Estimator, Noise, Scenario
+from aoabench.errors import BadValue, UserError, check_number, did_you_mean
+from aoabench.roles import Estimator, Scenario
 
 _TOP_LEVEL = (
     "scenario",
@@ -55,7 +57,8 @@ def build(
     plain, choices, notes = _as_recorded(plain, choices, scenario, keys)
     noise = as_noise(construct(plain["noise"], "noise", plugins), "noise")
     estimators = _estimators(plain, plugins, choices.get("experiment")) | _extra(plain, extra or {})
-    _check_fit(estimators, scenario, noise, choices)
+    notes += check_heard(scenario, plain["seed"])
+    check_fit(estimators, scenario, noise, choices)
     groups = ("scenario", "noise", "filter", "estimator")
     return Cell(
         scenario_name=choices["scenario"],
@@ -167,23 +170,6 @@ def _extra(plain: Mapping[str, Any], extra: Mapping[str, Any]) -> dict[str, Esti
             f"e.g. 'filter=[ekf_vmf]'; allowed: {known}"
         )
     return {f"estimators.{n}": as_estimator(e, f"estimators[{n!r}]") for n, e in extra.items()}
-
-
-def _check_fit(
-    estimators: Mapping[str, Estimator],
-    scenario: Scenario,
-    noise: Noise,
-    choices: Mapping[str, Any],
-) -> None:
-    """Raise UserError if scenario or noise lacks a property that an estimator needs."""
-    for path, estimator in estimators.items():
-        try:
-            estimator.check(scenario, noise)
-        except Unfit as error:
-            allowed = f"{error.allowed}, which {path} needs"
-            raise BadValue(error.group, choices[error.group], allowed) from None
-        except BadValue as error:
-            raise BadValue(f"{path}.{error.key}", error.value, error.allowed) from None
 
 
 def _runner(plain: Mapping[str, Any]) -> RunnerOptions:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
-from aoabench.config.compose import hydra_initialised, resolved, with_defaults
+from aoabench.config.nodes import hydra_initialised, resolved, with_defaults
 from aoabench.config.plugins import construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError, did_you_mean
+from aoabench.roles import Estimator, Noise, Scenario
 
 
 class Parameter(NamedTuple):
@@ -62,25 +64,87 @@ def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str,
 
     Raises UserError for a scenario that is unknown or cannot be built.
     """
-    from hydra import compose
-
     known = options("scenario", config_dir)
     if scenario not in known:
         hint = did_you_mean(scenario, known) or f"; allowed: {', '.join(known)}"
         raise UserError(f"--fits={scenario}: unknown scenario{hint}")
     found: dict[str, dict[str, list[str]]] = {group: {} for group in LISTS}
-    every = [f"{group}=[{','.join(options(group, config_dir))}]" for group in LISTS]
     for noise in options("noise", config_dir):
-        with hydra_initialised(config_dir):
-            cfg = compose("config", overrides=[f"scenario={scenario}", f"noise={noise}", *every])
-            plain = resolved(with_defaults(cfg, ()))
+        chosen = [f"scenario={scenario}", f"noise={noise}"]
+        plain = _composed([*chosen, *_every_estimator(config_dir)], config_dir)
         place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
         errors = as_noise(construct(plain["noise"], "noise"), "noise")
-        for group in LISTS:
-            for name, node in plain[group].items():
-                try:
-                    as_estimator(construct(node, name), name).check(place, errors)
-                except UserError:
-                    continue
-                found[group].setdefault(name, []).append(noise)
+        for group, name in _that_fit(plain, place, errors):
+            found[group].setdefault(name, []).append(noise)
     return found
+
+
+def fitting_estimators(scenario: Scenario, noise: Noise) -> dict[str, list[str]]:
+    """By group, the shipped filters and estimators that run in this scenario with this noise."""
+    found: dict[str, list[str]] = {group: [] for group in LISTS}
+    for group, name in _that_fit(_composed(_every_estimator()), scenario, noise):
+        found[group].append(name)
+    return found
+
+
+def fitting_noises(scenario: Scenario, estimator: Estimator) -> list[str]:
+    """The shipped noises with which an estimator runs in this scenario."""
+    nodes = _shipped_nodes("noise")
+    noises = {name: as_noise(construct(node, "noise"), "noise") for name, node in nodes.items()}
+    return [name for name, noise in noises.items() if _fits(estimator, scenario, noise)]
+
+
+def fitting_scenarios(noise: Noise, estimator: Estimator) -> list[str]:
+    """The shipped scenarios in which an estimator runs with this noise."""
+    found = []
+    for name, node in _shipped_nodes("scenario").items():
+        try:
+            scenario = as_scenario(construct(node, "scenario"), "scenario")
+        except UserError:  # a recording needs the file that it is in
+            continue
+        if _fits(estimator, scenario, noise):
+            found.append(name)
+    return found
+
+
+@cache
+def _shipped_nodes(group: str) -> dict[str, Any]:
+    """The config nodes of the shipped presets of a group by their names."""
+    from hydra import compose
+
+    with hydra_initialised():
+        composed = {
+            name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)
+        }
+    return {name: resolved(with_defaults(cfg, ()))[group] for name, cfg in composed.items()}
+
+
+def _every_estimator(config_dir: str | None = None) -> list[str]:
+    """The overrides that choose all filters and estimators."""
+    return [f"{group}=[{','.join(options(group, config_dir))}]" for group in LISTS]
+
+
+def _composed(overrides: Sequence[str], config_dir: str | None = None) -> dict[str, Any]:
+    """The resolved config with these overrides."""
+    from hydra import compose
+
+    with hydra_initialised(config_dir):
+        return resolved(with_defaults(compose("config", overrides=list(overrides)), ()))
+
+
+def _that_fit(
+    plain: Mapping[str, Any], scenario: Scenario, noise: Noise
+) -> Iterator[tuple[str, str]]:
+    """Group and name of each estimator of a config that fits."""
+    for group in LISTS:
+        for name, node in plain[group].items():
+            if _fits(as_estimator(construct(node, name), name), scenario, noise):
+                yield group, name
+
+
+def _fits(estimator: Estimator, scenario: Scenario, noise: Noise) -> bool:
+    try:
+        estimator.check(scenario, noise)
+    except UserError:
+        return False
+    return True

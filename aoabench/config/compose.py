@@ -6,22 +6,20 @@ not used, because their `_target_`s would run code before our checks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from aoabench.cell import Cell
 from aoabench.config.build import build
-from aoabench.config.guard import refuse_foreign_hydra, refuse_hydra
-from aoabench.config.messages import explained, first_line
+from aoabench.config.guard import refuse_hydra
+from aoabench.config.messages import explained
+from aoabench.config.nodes import hydra_initialised, resolved, with_defaults
 from aoabench.config.overrides import Setting, jobs, read
-from aoabench.config.plugins import parse_plugins, spelled_out
+from aoabench.config.plugins import parse_plugins
 from aoabench.config.presets import LISTS, options
 from aoabench.errors import UserError, did_you_mean, shorten
 from aoabench.maths.digest import flatten
-from aoabench.resources import shipped
 
 
 def compose_cells(
@@ -121,38 +119,6 @@ def show(
         )
 
 
-def with_defaults(cfg: Any, plugins: Sequence[str]) -> dict[str, Any]:
-    """A composed config as plain nodes: interpolations unresolved, Hydra's own node left out, the
-    defaults of the plug-ins' classes filled in.
-    """
-    from omegaconf import OmegaConf
-
-    node = OmegaConf.create({key: cfg._get_node(key) for key in cfg if key != "hydra"})
-    plain: Any = OmegaConf.to_container(node, resolve=False)
-    for group in ("scenario", "noise"):
-        plain[group] = spelled_out(plain.get(group), plugins)
-    for group in LISTS:
-        nodes = plain.get(group)
-        if isinstance(nodes, dict):
-            plain[group] = {name: spelled_out(one, plugins) for name, one in nodes.items()}
-    return dict(plain)
-
-
-def resolved(raw: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain nodes with their interpolations resolved; UserError for one that cannot be."""
-    from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
-
-    try:
-        plain: Any = OmegaConf.to_container(
-            OmegaConf.create(dict(raw)), resolve=True, throw_on_missing=True
-        )
-    except OmegaConfBaseException as error:
-        key = getattr(error, "full_key", None)
-        raise UserError(f"{key}: {first_line(error)}" if key else first_line(error)) from None
-    return dict(plain)
-
-
 @dataclass
 class _Job:
     """Settings common to all jobs of a sweep; `keys`: the keys that the jobs set, `typed`: the keys
@@ -220,33 +186,3 @@ class _Job:
             whole = with_defaults(compose("config", overrides=chosen), self.plugins)
             self.presets[tuple(chosen)] = dict(flatten(whole))
         return self.presets[tuple(chosen)]
-
-
-@contextmanager
-def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
-    """Initialise Hydra's compose API over the shipped configs, and the user's own folder once it is
-    checked.
-    """
-    from hydra._internal.hydra import Hydra
-    from hydra._internal.utils import create_config_search_path
-    from hydra.core.config_search_path import SearchPathQuery
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.singleton import Singleton
-    from hydra.version import setbase
-
-    refuse_foreign_hydra(config_dir)
-    before = Singleton.get_state()
-    GlobalHydra.instance().clear()
-    setbase("1.3")
-    path = create_config_search_path(str(shipped("configs")))
-    if config_dir:
-        path.prepend(
-            "command-line",
-            f"file://{Path(config_dir).resolve()}",
-            SearchPathQuery(provider="schema"),
-        )
-    Hydra.create_main_hydra2(task_name="aoabench", config_search_path=path)
-    try:
-        yield
-    finally:
-        Singleton.set_state(before)

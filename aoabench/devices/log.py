@@ -24,6 +24,7 @@ from aoabench.types import Measurements
 TURN = {"deg": 360.0, "rad": 2 * np.pi}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 SAME_M = 1e-6  # m; true positions of one fix that differ by less are taken as equal
+MOST_DBM = 20.0  # a larger signal strength is doubted
 SIGMAS = ("error", "absent", "absolute")  # treatments of a negative deviation
 
 
@@ -167,6 +168,29 @@ def angles(table: Table, given: Conventions) -> dict[str, Array]:
             table.check(column, np.isfinite(found[angle]) & ~(sigma > 0), allowed)
             found[column] = sigma
     return found
+
+
+def strengths(table: Table, absent: Sequence[float]) -> tuple[Array | None, list[str]]:
+    """Return the signal strengths (N,) in dBm, NaN for empty cells and for the numbers `absent`,
+    None if no row has one, and remarks to print.
+    """
+    if "rssi" not in table.names:
+        return None, []
+    value, name = table.numbers("rssi"), table.names["rssi"]
+    gone = np.isin(value, np.array(absent, dtype=float))
+    found, notes = np.where(gone, np.nan, value), []
+    if gone.any():
+        which = ", ".join(f"{number:g}" for number in absent)
+        notes.append(
+            f"{table.path}: {gone.sum()} of {np.isfinite(value).sum()} {name} mean not available: "
+            f"{which} (scenario.rssi_absent)"
+        )
+    if np.isfinite(found).any() and np.nanmax(found) > MOST_DBM:
+        notes.append(
+            f"{table.path}: {name} reaches {np.nanmax(found):g}; received signals are far below "
+            f"{MOST_DBM:g} dBm, and the largest number is taken for the strongest"
+        )
+    return (found if np.isfinite(found).any() else None), notes
 
 
 def _azimuth(table: Table, given: Conventions) -> Array:

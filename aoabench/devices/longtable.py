@@ -1,4 +1,4 @@
-"""Long tables: reading anchors from a file; writing measurements and anchors as tables."""
+"""Long tables: measurements and anchors as tables, in the form that `recorded` reads."""
 
 from __future__ import annotations
 
@@ -6,43 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aoabench.devices.table import Table, header
-from aoabench.errors import BadValue
-from aoabench.maths.geometry import Array, euler, euler_of
-from aoabench.types import Anchors, Batch
+from aoabench.maths.geometry import Array, euler_of
+from aoabench.types import Batch
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-def read_anchors(key: str, path: str) -> tuple[list[str], Anchors]:
-    """Return ids and anchors (1, 1, B, ...) from the columns id, x_m, y_m and, 0 by default, z_m,
-    facing_deg, pitch_deg, roll_deg.
-
-    Rz(facing) Ry(pitch) Rx(roll) turns the global axes into the anchor's. With facing alone, local
-    x points along the facing direction, y to the left, z up, as in `plan.read_anchors`.
-    """
-    present = header(key, path)
-    columns = ("id", "x_m", "y_m", "z_m", "facing_deg", "pitch_deg", "roll_deg")
-    for name in columns:
-        if present.count(name) > 1 or (name in columns[:3] and name not in present):
-            raise BadValue(
-                key,
-                path,
-                f"a file with the columns {', '.join(columns[:3])}, each once; "
-                f"it has {', '.join(present)}",
-            )
-    table = Table.read(key, path, {name: name for name in columns if name in present})
-    code, ids = table.texts("id")
-    again = np.ones(len(code), dtype=bool)
-    again[np.unique(code, return_index=True)[1]] = False
-    table.check("id", again, "each id once")
-    n = len(code)
-    x, y, z, *turns = (
-        table.numbers(c, empty=False) if c in present else np.zeros(n) for c in columns[1:]
-    )
-    axes = [euler(turn).T for turn in np.deg2rad(np.stack(turns[::-1], axis=-1))]
-    return ids, Anchors(np.stack([x, y, z], axis=-1), np.stack(axes))
 
 
 def as_tables(batch: Batch, truth: Array) -> tuple[pd.DataFrame, pd.DataFrame]:

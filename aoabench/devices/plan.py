@@ -1,7 +1,8 @@
-"""Floor plans as files: anchors from CSV, walls from GeoJSON or CSV, and lines of sight.
+"""Walls of floor plans from GeoJSON or CSV.
 
-Local coordinates in m. A file is looked for in the working folder first, then among the shipped
-plans. Every mistake in a file raises BadValue with the key, the file and the allowed content.
+Local coordinates, in m or in a declared unit; degrees are refused. A file is looked for in the
+working folder first, then among the shipped plans. Every mistake in a file raises BadValue with the
+key, the file and the allowed content.
 """
 
 from __future__ import annotations
@@ -14,14 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from aoabench.errors import BadValue
+from aoabench.errors import BadValue, shorten
 from aoabench.maths.geometry import Array
 from aoabench.resources import shipped
-from aoabench.types import Anchors
 
-ANCHOR_COLUMNS = ("x_m", "y_m", "z_m", "facing_deg")
 WALL_COLUMNS = ("x0_m", "y0_m", "x1_m", "y1_m")
-_AT_ONCE = 1 << 16  # number of sight lines in memory at a time
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # in m
+LEAST_M = 1.0  # extent below which a plan within the range of degrees is not taken for one in m
 
 
 def find(key: str, name: object) -> Path:
@@ -35,67 +35,48 @@ def find(key: str, name: object) -> Path:
     raise BadValue(key, name, f"an existing file; shipped: {known}")
 
 
-def read_anchors(key: str, path: Path) -> Anchors:
-    """Anchors (1, 1, B, ...) from the columns x_m, y_m, z_m, facing_deg.
-
-    The last is the horizontal direction of the array's broadside, counter-clockwise from +x. Local
-    axes: x along the broadside, y horizontally left of it, z up.
-    """
-    table = _table(key, path, ANCHOR_COLUMNS)
-    if not len(table):
-        raise BadValue(key, str(path), "a file with at least one anchor")
-    turn, up = np.deg2rad(table[:, 3]), np.broadcast_to([0.0, 0.0, 1.0], (len(table), 3))
-    ahead = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=-1)
-    return Anchors(table[:, :3], np.stack([ahead, np.cross(up, ahead), up], axis=-2))
-
-
-def read_walls(key: str, path: Path) -> tuple[Array, float | None]:
+def read_walls(
+    key: str, path: Path, unit: str | None = None, local: bool = False
+) -> tuple[Array, float | None]:
     """Walls (W, 2, 2) m, each from one point to another, and the visited area in m^2 or None.
 
     CSV has the columns x0_m, y0_m, x1_m, y1_m. GeoJSON is a FeatureCollection: walls are
     (Multi)LineStrings of kind `wall` or without a kind; a Polygon of kind `visited` is the visited
-    area.
+    area. `unit` is that of the coordinates, None for m; `local` whether the user declares them to
+    be local.
+
+    Raises BadValue for coordinates that are, or look like, degrees and are not declared local, and
+    for a file that states another unit.
     """
     kind = path.suffix.lower()
     if kind == ".csv":
         segments, area = _table(key, path, WALL_COLUMNS).reshape(-1, 2, 2), None
     elif kind in (".geojson", ".json"):
-        segments, area = _geojson(key, path)
+        segments, area = _geojson(key, path, unit, local)
     else:
         raise BadValue(key, str(path), "a .csv or .geojson file")
     segments = segments[(segments[:, 0] != segments[:, 1]).any(axis=-1)]
     if not len(segments):
         raise BadValue(key, str(path), "a file with at least one wall, or null for none")
-    return segments, area
+    if not local:
+        _check_degrees(key, path, segments)
+    scale = UNITS[unit or "m"]
+    return segments * scale, None if area is None else area * scale**2
 
 
-def in_sight(points: Array, anchors: Array, segments: Array | None) -> np.ndarray:
-    """Mask (N, B) of the anchors (B, 2+) m in line of sight of each point (N, 2+) m.
-
-    Seen from above, no wall (W, 2, 2) m meets the line from point to anchor. A line that touches a
-    wall is blocked, so an anchor on a wall has to be a little in front of the wall.
-    """
-    clear = np.ones((len(points), len(anchors)), dtype=bool)
-    if segments is None or not clear.size:
-        return clear
-    import shapely
-
-    order = np.argsort(-np.hypot(*(segments[:, 1] - segments[:, 0]).T), kind="stable")
-    groups = np.split(
-        order, [len(order) // 8]
-    )  # the longest walls first: they block most lines, which halves the work
-    trees = [shapely.STRtree(shapely.linestrings(segments[group])) for group in groups]
-    step = max(_AT_ONCE // len(anchors), 1)
-    for first in range(0, len(points), step):
-        part = points[first : first + step, None, :2]
-        ways = np.stack(np.broadcast_arrays(part, anchors[None, :, :2]), axis=2).reshape(-1, 2, 2)
-        lines, left = shapely.linestrings(ways), np.arange(len(ways))
-        for tree in trees:
-            hidden = np.zeros(len(left), dtype=bool)
-            hidden[tree.query(lines[left], predicate="intersects")[0]] = True
-            left = left[~hidden]
-        clear[first : first + step] = np.isin(np.arange(len(ways)), left).reshape(-1, len(anchors))
-    return clear
+def _check_degrees(key: str, path: Path, segments: Array) -> None:
+    """Raise BadValue for walls (W, 2, 2) that look like longitudes and latitudes."""
+    corners = segments.reshape(-1, 2)
+    extent = float((corners.max(axis=0) - corners.min(axis=0)).max())
+    if extent < LEAST_M and np.all(np.abs(corners) <= [180, 90]):
+        x, y = corners[0]
+        allowed = (
+            f"walls in m; these span {extent:.3g} near ({x:.6g}, {y:.6g}), which looks like "
+            "degrees of longitude and latitude: convert them to local m, or declare "
+            "scenario.walls_crs=local if the plan is that small "
+            "(walls_crs=wgs84 is not supported yet)"
+        )
+        raise BadValue(key, str(path), allowed)
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -141,7 +122,7 @@ def _number(key: str, path: Path, row: list[str], column: int, name: str, line: 
     return value
 
 
-def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
+def _geojson(key: str, path: Path, unit: str | None, local: bool) -> tuple[Array, float | None]:
     def bad(allowed: str) -> BadValue:
         return BadValue(key, str(path), allowed)
 
@@ -152,8 +133,20 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
     features = content.get("features") if isinstance(content, dict) else None
     if not isinstance(features, list) or content.get("type") != "FeatureCollection":
         raise bad("a GeoJSON FeatureCollection")
-    if content.get("units", "m") != "m":
-        raise bad(f"local coordinates in m; units is {content['units']!r}")
+    stated = content.get("units", unit or "m")
+    if stated != (unit or "m"):
+        wanted = (
+            f"set scenario.walls_unit={stated} if that is right"
+            if isinstance(stated, str) and stated in UNITS
+            else "convert them to m"
+        )
+        raise bad(f"local coordinates in {unit or 'm'}; its units is {stated!r}: {wanted}")
+    if content.get("crs") is not None and not local:
+        raise bad(
+            f"local coordinates; its crs is {_crs(content['crs'])}: scenario.walls_crs=local if x "
+            "and y are lengths in a plane all the same, else convert them "
+            "(walls_crs=wgs84 is not supported yet)"
+        )
     walls, area = [np.empty((0, 2, 2))], None
     for number, feature in enumerate(features):
         try:
@@ -166,6 +159,11 @@ def _geojson(key: str, path: Path) -> tuple[Array, float | None]:
         else:
             walls += [np.stack([line[:-1], line[1:]], axis=1) for line in lines]
     return np.concatenate(walls), area
+
+
+def _crs(node: Any) -> str:
+    """The name in a GeoJSON member `crs`, or the member itself."""
+    return shorten(repr(_mapping(_mapping(node).get("properties")).get("name", node)), 60)
 
 
 def _feature(number: int, feature: Any) -> tuple[str, list[Array]]:

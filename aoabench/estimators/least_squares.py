@@ -63,7 +63,7 @@ class LeastSquares(Compiled, Estimator):
 
     @property
     def needs(self) -> frozenset[str]:
-        return frozenset({"several_anchors"})
+        return frozenset({"elevation", "several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix; outcome FAILED if the equations do not determine a position,

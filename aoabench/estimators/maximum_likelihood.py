@@ -83,7 +83,7 @@ class GaussNewton(Compiled, Estimator):
 
     @property
     def needs(self) -> frozenset[str]:
-        return frozenset({"several_anchors"})
+        return frozenset({"elevation", "several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """One position per fix, the number of updates, and the outcome of the iteration.

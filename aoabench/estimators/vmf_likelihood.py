@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aoabench.errors import Unfit
 from aoabench.estimators.lines import nearest_point
 from aoabench.estimators.parameters import clip_param, tolerance_param, updates_param
 from aoabench.estimators.plane import clipped, on_plane, plane_of
@@ -34,7 +35,7 @@ from aoabench.estimators.rays import (
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import EPS, inverse, solve
 from aoabench.params import param
-from aoabench.roles import Estimator, Noise, Scenario
+from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome, Reason
 
@@ -83,7 +84,8 @@ class VmfLikelihood(Estimator):
     def check(self, scenario: Scenario, noise: Noise) -> None:
         """Raise Unfit as all estimators do, and UserError if an anchor lies in the plane."""
         super().check(scenario, noise)
-        self._height(scenario)
+        if self._height(scenario) is None and "several_anchors" not in scenario.offers():
+            raise Unfit(*NEEDS["several_anchors"])
 
     def _height(self, scenario: Scenario) -> float | None:
         if self.height_m == FREE or (self.height_m is None and scenario.known_height_m is None):

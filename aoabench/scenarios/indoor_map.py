@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from aoabench.devices import plan
+from aoabench.devices.anchors import SCHEMA
+from aoabench.devices.floor_plan import FloorPlan
 from aoabench.errors import BadValue, check_array
 from aoabench.maths.geometry import Array
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario
-from aoabench.scenarios.parameters import name_param
+from aoabench.scenarios.parameters import least_heard_param, name_param
 from aoabench.scenarios.route import RoundedRoute
 from aoabench.types import Anchors
 
@@ -34,18 +36,20 @@ def _prior_sigma(default: float, help: str, unit: str) -> Any:
 class IndoorMap(Scenario):
     """One trip along a route at constant horizontal speed, with corners rounded to arcs.
 
-    The height is linear along the route. `devices.plan` describes the files of anchors and walls.
-    The network reports the nearest ANs in line of sight (seen from above), by true distance; their
-    signals are the strongest. Filters start from a mean position drawn around the true start,
-    and from velocity and acceleration 0. With `truth_from: model` the route is not followed: the
+    The height is linear along the route. `devices.anchors` and `devices.plan` describe the files.
+    An AN on a wall sees into the side that it faces (`devices.sight`). The network reports the
+    nearest ANs in line of sight (seen from above), by true distance; their signals are the
+    strongest. Filters start from a mean position drawn around the true start, and from velocity
+    and acceleration 0. With `truth_from: model` the route is not followed: the
     true states are drawn from the prior at the first waypoint and from `motion`, so that the
     filters' model is exact.
     """
 
     name: str = name_param()
     anchors: str = param(
-        help="file of the ANs, with the columns x_m, y_m, z_m, facing_deg",
-        allowed="an existing file",
+        help="file of the ANs: x_m, y_m and, where needed, id, z_m, facing_deg, pitch_deg, "
+        "roll_deg",
+        allowed=f"an existing file, {SCHEMA}",
     )
     route: Sequence[Sequence[float]] = param(
         help="waypoints, a row x, y for each", unit="m", shape=(None, 2)
@@ -54,6 +58,17 @@ class IndoorMap(Scenario):
     walls: str | None = param(
         help="file of the walls, GeoJSON or CSV with x0_m, y0_m, x1_m, y1_m; null: no walls",
         allowed="an existing file, or null",
+    )
+    walls_unit: str | None = param(
+        None,
+        "unit of the walls' coordinates; null: m, and walls that seem to have another are refused",
+        choices=tuple(plan.UNITS),
+    )
+    walls_crs: str | None = param(
+        None,
+        "coordinates of the walls: local, lengths in a plane; null: local, and walls that seem to "
+        "be in degrees or name a crs are refused; wgs84 is not supported yet",
+        choices=("local", "wgs84"),
     )
     corner_radius_m: float = param(
         2.0, "radius of the arcs that replace the route's corners", unit="m", least=1e-3, most=1e6
@@ -72,6 +87,7 @@ class IndoorMap(Scenario):
         least=1,
         most=1_000_000,
     )
+    least_heard: float = least_heard_param()
     prior_sigma_xy_m: float = _prior_sigma(
         1.0, "standard deviation in x and in y of the filters' initial mean", "m"
     )
@@ -103,7 +119,12 @@ class IndoorMap(Scenario):
         if len(self.motion.matrices(self.dt)[0]) != 9:
             raise BadValue("motion", self.motion, STATE)
         # read the files now, so that mistakes in them are reported at construction
-        _ = (self._path, self.true_anchors, self.wall_segments)
+        _ = self._path
+        self._plan.check(
+            (self.anchors, self.walls),
+            np.array(self.route, dtype=float),
+            wanders=self.truth_from == "model",
+        )
         if not 1 <= self.route_steps <= MOST_STEPS:
             allowed = (
                 f"one that cuts the route of {self._path.length:g} m into 1 to {MOST_STEPS} steps"
@@ -122,28 +143,28 @@ class IndoorMap(Scenario):
 
     @cached_property
     def true_anchors(self) -> Anchors:
-        """The true ANs (1, 1, B, ...); local x points along the array's broadside, y horizontally
-        to its left, z up.
+        """The true ANs (1, 1, B, ...); local x points along the array's broadside, and without
+        pitch and roll y horizontally to its left, z up.
         """
-        return plan.read_anchors("anchors", self.files[0])
+        return self._plan.known.anchors
 
     @cached_property
-    def _walls(self) -> tuple[Array | None, float | None]:
-        return (None, None) if self.walls is None else plan.read_walls("walls", self.files[1])
+    def _plan(self) -> FloorPlan:
+        return FloorPlan.read(self.files, self.walls_unit, self.walls_crs)
 
     @property
     def wall_segments(self) -> Array | None:
         """Walls (W, 2, 2) m, or None."""
-        return self._walls[0]
+        return self._plan.walls
 
     @property
     def visited_area_m2(self) -> float | None:
         """Area of the plan's polygon of kind `visited`, or None."""
-        return self._walls[1]
+        return self._plan.area_m2
 
     def line_of_sight(self, points: Array) -> np.ndarray:
         """Mask (N, B) of the ANs in line of sight of each point (N, 3) m: no wall crosses the
-        straight line, seen from above.
+        straight line, seen from above; of a wall that it stands on, an AN sees the side it faces.
         """
         return self._route_sight if self._is_route(points) else self._sight(points)
 
@@ -158,7 +179,24 @@ class IndoorMap(Scenario):
         )
 
     def _sight(self, points: Array) -> np.ndarray:
-        return plan.in_sight(points, self.true_anchors.position[0, 0], self.wall_segments)
+        return self._plan.in_sight(points)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines about the files, to print."""
+        return self._plan.notes
+
+    def offers(self) -> frozenset[str]:
+        """The offers of all scenarios, less several anchors if only the nearest reports."""
+        return super().offers() - (frozenset({"several_anchors"} if self.nearest == 1 else ()))
+
+    def unheard(self) -> BadValue:
+        """The error for a trip on which no AN measures."""
+        allowed = (
+            "a route that sees access nodes; no point of the route sees any access node (on a wall "
+            "that they face away from? a route outside the building? walls between?)"
+        )
+        return BadValue("route", self.route, allowed)
 
     def _nearest(self, points: Array, seen: np.ndarray) -> np.ndarray:
         """Mask (N, B) of the nearest ANs in `seen` (N, B); ties go to the first in the file."""

@@ -26,3 +26,9 @@ def size_param(default: tuple[float, float, float]) -> Any:
 def dt_param(default: float) -> Any:
     """The parameter `dt`."""
     return param(default, "time from step to step", unit="s", least=1e-6, most=1e6)
+
+
+def least_heard_param() -> Any:
+    """The parameter `least_heard`."""
+    help = "share of the steps with a measurement by an anchor below which a run prints a warning"
+    return param(0.1, help, least=0, most=1)

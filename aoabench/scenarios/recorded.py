@@ -14,48 +14,17 @@ from typing import Any
 import numpy as np
 
 from aoabench.devices import log
-from aoabench.devices.longtable import read_anchors
+from aoabench.devices.anchors import AnchorsFile, read_anchors
+from aoabench.devices.extent import Thing, check_anchors
 from aoabench.devices.table import EXISTING, Table
 from aoabench.errors import BadValue, check_array
 from aoabench.maths.geometry import Array
-from aoabench.params import CheckedParams, param
+from aoabench.params import param
 from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
-from aoabench.scenarios.parameters import name_param
+from aoabench.scenarios.log_columns import Columns
+from aoabench.scenarios.parameters import least_heard_param, name_param
 from aoabench.types import Anchors, Measurements
-
-
-def _column(help: str, default: str) -> Any:
-    allowed = "the name of a column, or null"
-    return param(None, f"column of {help}; null: {default}, if the file has it", allowed=allowed)
-
-
-@dataclass(frozen=True)
-class Columns(CheckedParams):
-    """Names of the columns in the file. The columns azimuth, anchor, and fix or time are required.
-    An empty angle was not measured.
-    """
-
-    azimuth: str | None = _column("azimuths", "azimuth_deg or azimuth_rad")
-    elevation: str | None = _column("elevations", "elevation_deg or elevation_rad")
-    anchor: str | None = _column("the anchors' ids", "anchor")
-    fix: str | None = _column("the fixes' numbers or names, used in place of time", "fix")
-    time: str | None = _column(
-        "times by one clock, numbers or dates and times (ISO 8601)", "time_s, or by time_unit"
-    )
-    rssi: str | None = _column("signal strengths in dBm", "rssi_dbm")
-    azimuth_sigma: str | None = _column(
-        "the azimuths' standard deviations", "azimuth_sigma_deg or azimuth_sigma_rad"
-    )
-    elevation_sigma: str | None = _column(
-        "the elevations' standard deviations", "elevation_sigma_deg or elevation_sigma_rad"
-    )
-    heading: str | None = _column(
-        "the mobile's heading in deg, if heading_deg is null", "heading_deg"
-    )
-    x: str | None = _column("x of the true positions in m", "x_m")
-    y: str | None = _column("y of the true positions in m", "y_m")
-    z: str | None = _column("z of the true positions in m", "z_m")
 
 
 @dataclass(frozen=True)
@@ -63,9 +32,10 @@ class Recorded(Scenario):
     """One recording of T fixes: one replication, nothing is drawn, no motion and no prior.
 
     Fixes are in order of their times, or of their first appearance if the file numbers them. CSV
-    has a header, commas and decimal points. The file of anchors has the columns id, x_m, y_m and,
-    where not 0, z_m, facing_deg, pitch_deg, roll_deg. The last three turn the anchor's axes by
-    Rz(facing) Ry(pitch) Rx(roll): facing counter-clockwise from the global +x, pitch > 0 down.
+    has a header, commas and decimal points. The file of anchors has the columns x_m, y_m and, where
+    needed, id (else 1, 2, ...), z_m, facing_deg, pitch_deg, roll_deg (else 0). The last three turn
+    the anchor's axes by Rz(facing) Ry(pitch) Rx(roll): facing counter-clockwise from the global +x,
+    pitch > 0 down.
     """
 
     name: str = name_param()
@@ -73,7 +43,7 @@ class Recorded(Scenario):
         help="CSV or Parquet file, a row per anchor and measurement", allowed=f"an {EXISTING}"
     )
     anchors: AnchorLayout | str = param(
-        help="CSV file of the anchors, or a layout",
+        help="CSV or Parquet file of the anchors, or a layout",
         kind=AnchorLayout,
         allowed=f"an {EXISTING}, or an AnchorLayout",
     )
@@ -136,6 +106,11 @@ class Recorded(Scenario):
         "of sight); absolute, its absolute value is used",
         choices=log.SIGMAS,
     )
+    rssi_absent: Sequence[float] = param(
+        (127, -128),
+        "signal strengths that mean not available, as devices write them; some write 0",
+        unit="dBm",
+    )
     frame: str = param(
         "own",
         "axes of the angles: own, those of the device that measured (mobile: x ahead); or global",
@@ -165,6 +140,7 @@ class Recorded(Scenario):
         unit="m",
         shape=(2, 2),
     )
+    least_heard: float = least_heard_param()
     dt = 1.0
     motion = None
     shares_positions = True
@@ -184,10 +160,15 @@ class Recorded(Scenario):
                 raise BadValue(
                     "bounds_m", self.bounds_m, "the lower corner, then the upper corner, or null"
                 )
-        z = self._log.truth[:, 2]  # reads the files: mistakes are reported at construction
-        z = z[np.isfinite(z)]
+        truth = self._log.truth  # reads the files: mistakes are reported at construction
+        z = truth[np.isfinite(truth[:, 2]), 2]
         if self.height_m is None and len(z) and np.ptp(z) < 1e-3:
             object.__setattr__(self, "height_m", float(np.median(z)))
+        known = truth[np.isfinite(truth[:, 0])]
+        if len(known):
+            target = Thing("true positions", "path", self.path, known)
+            position = self._anchors.anchors.position[0, 0]
+            check_anchors(Thing("anchors", "anchors", self.anchors, position), target)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -225,40 +206,56 @@ class Recorded(Scenario):
     @cached_property
     def true_anchors(self) -> Anchors:
         """The anchors (1, 1, B, ...); with the global axes if the angles are global."""
-        anchors = self._anchors[1]
+        anchors = self._anchors.anchors
         own = self.frame == "own" and self.measured_by == "anchor"
         upright = np.zeros_like(anchors.rotation) + np.eye(3)
         return anchors if own else Anchors(anchors.position, upright)
+
+    def offers(self) -> frozenset[str]:
+        """The offers of all scenarios, less several anchors if no fix has measurements by two."""
+        heard = np.isfinite(self.recorded.azimuth).sum(axis=1)
+        lone = heard.max(initial=0) < 2
+        return super().offers() - (frozenset({"several_anchors"} if lone else ()))
+
+    def unheard(self) -> BadValue:
+        """The error for a log without any measurement."""
+        empty = "; every angle is empty, or was taken as not measured (scenario.negative_sigma)"
+        return BadValue("path", self.path, f"a file with at least one azimuth or elevation{empty}")
 
     def truth(self, rng: np.random.Generator) -> Array:
         """Positions (T, 3) m, NaN where unknown."""
         return self._log.truth
 
     @cached_property
-    def _anchors(self) -> tuple[list[str], Anchors]:
-        """The anchors' ids as strings, and the anchors (1, 1, B, ...)."""
+    def _anchors(self) -> AnchorsFile:
+        """The anchors (1, 1, B, ...) and their ids as strings."""
         if isinstance(self.anchors, AnchorLayout):
             B = len(self.anchors.position_m)
             ids = list(map(str, range(1, B + 1) if self.anchor_ids is None else self.anchor_ids))
             if len(ids) != B or len(set(ids)) < B:
                 allowed = f"{B} different ids, one for each anchor, or null"
                 raise BadValue("anchor_ids", self.anchor_ids, allowed)
-            return ids, self.anchors.known
+            return AnchorsFile(ids, self.anchors.known, None, ())
         if self.anchor_ids is not None:
-            allowed = "null, unless scenario.anchors is a layout: a file has the column id"
+            allowed = "null, unless scenario.anchors is a layout: a file may have the column id"
             raise BadValue("anchor_ids", self.anchor_ids, allowed)
         return read_anchors("anchors", self.anchors)
 
     @cached_property
     def _log(self) -> log.Log:
-        ids, _ = self._anchors
+        ids = self._anchors.ids
         table = Table.read("path", self.path, self._chosen())
         strict = self.unknown_anchors == "error"
-        table, anchor, notes = log.known_anchors(table, ids, strict)
+        try:
+            table, anchor, notes = log.known_anchors(table, ids, strict)
+        except BadValue as error:
+            why = f"; {self.anchors} has no column id, so that its anchors are called 1, 2, ..."
+            more = why * self._anchors.numbered
+            raise BadValue(error.key, error.value, error.allowed + more) from None
         fix, T = log.fixes(table, self.time_unit, self.window_s)
         values = log.angles(table, self._conventions)
-        if "rssi" in table.names:
-            values["rssi"] = table.numbers("rssi")
+        rssi, lines = log.strengths(table, self.rssi_absent)
+        values |= {} if rssi is None else {"rssi": rssi}
         truth = log.truth(table, fix, T)
         if self.height_m is not None:
             truth[:, 2] = np.where(
@@ -275,7 +272,7 @@ class Recorded(Scenario):
         notes.append(f"{self.path}: {found}")
         if lost := len(fix) - len(keep):
             notes.append(f"{self.path}: {lost} rows left out: further rows of an anchor in a fix")
-        notes += log.doubts(table, self.azimuth_unit)
+        notes += [*lines, *self._anchors.notes, *log.doubts(table, self.azimuth_unit)]
         return log.Log(truth, Measurements(**arrays), tuple(notes))
 
     def _chosen(self) -> dict[str, str]:

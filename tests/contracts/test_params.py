@@ -172,6 +172,7 @@ def is_list(field, known):
 @pytest.mark.parametrize(("cls", "field"), chosen(is_list))
 def test_lists(cls, field):
     elements = {"str": [5, "nonsense"], "int": [2.5, "1", True, 0], "Any": []}
+    elements["float"] = ["1", True, math.nan, math.inf, None]
     known, of = rule(field), base(field)[len("Sequence[") : -1]
     for value in (5, "text", *([one] for one in elements[of])):
         allowed = refused(cls, field, value)

@@ -3,8 +3,10 @@ exit status 2.
 """
 
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -198,6 +200,114 @@ def test_one_clear_line_and_status_2(argv, words, capsys, tmp_path, monkeypatch)
     for word in words:
         assert word in err, (word, err)
     assert not (tmp_path / "results").exists(), "nothing was started"
+
+
+NODES = "x_m,y_m,z_m,facing_deg\n0,3,2.5,0\n6,0,2.5,90\n12,3,2.5,180\n6,6,2.5,-90\n"
+INWARD = "x_m,y_m,z_m,facing_deg\n0.1,3,2.5,0\n6,0.1,2.5,90\n11.9,3,2.5,180\n"
+OUTWARD = NODES.replace(",0\n", ",180.0\n").replace(",90\n", ",-90.0\n").replace(",180\n", ",0.0\n")
+OUTWARD = OUTWARD.replace(",-90\n", ",90.0\n")
+WALLS = "x0_m,y0_m,x1_m,y1_m\n0,0,12,0\n12,0,12,6\n12,6,0,6\n0,6,0,0\n"
+DEGREES = "x0_m,y0_m,x1_m,y1_m\n24.0,60.0,24.0002,60.0\n24.0,60.0,24.0,60.00005\n"
+MILLIMETRES = (
+    "x0_m,y0_m,x1_m,y1_m\n0,0,12000,0\n12000,0,12000,6000\n12000,6000,0,6000\n0,6000,0,0\n"
+)
+ROUTE = "scenario.route=[[1,1],[11,1],[11,5],[1,5]]"
+AWAY = "scenario.route=[[1,8],[11,8],[11,9]]"
+PLAN = ["run", "scenario=indoor_map", "scenario.anchors=a.csv", "scenario.walls=w.csv",
+        "scenario.corner_radius_m=0.3", "noise=ae_normal", "filter=[ekf_aoa]"]  # fmt: skip
+
+PLANS = {
+    "anchors face away": (OUTWARD, WALLS, [ROUTE], ["scenario.route=", "on a wall that they face away from?", "no point of the route sees any access node"]),
+    "route outside": (NODES, WALLS, [AWAY], ["scenario.route=", "a route outside the building", "no point of the route sees any access node"]),
+    "nobody knows the side": (NODES.replace(",facing_deg", ",note"), WALLS, [ROUTE], ["scenario.anchors='a.csv'", "facing_deg"]),
+    "degrees": (INWARD, DEGREES, [ROUTE], ["scenario.walls='", "w.csv'", "degrees", "scenario.walls_crs=local"]),
+    "wgs84": (INWARD, DEGREES, [ROUTE, "scenario.walls_crs=wgs84"], ["scenario.walls_crs='wgs84'", "not supported yet"]),
+    "mm": (INWARD, MILLIMETRES, [ROUTE], ["scenario.walls='w.csv'", "walls span 12000 m", "scenario.walls_unit=mm"]),
+    "not mm": (INWARD, WALLS, [ROUTE, "scenario.walls_unit=mm"], ["scenario.walls_unit='mm'", "perhaps m"]),
+    "no unit": (INWARD, WALLS, [ROUTE, "scenario.walls_unit=inch"], ["scenario.walls_unit='inch'", "m, cm, mm"]),
+    "facing called yaw": (INWARD.replace("facing_deg", "yaw"), WALLS, [ROUTE], ["scenario.anchors=", "'yaw'", "call it facing_deg"]),
+    "empty": ("", WALLS, [ROUTE], ["scenario.anchors=", "line 1 is empty"]),
+    "no walls": (INWARD, "", [ROUTE], ["scenario.walls=", "columns x0_m"]),
+    "share": (INWARD, WALLS, [ROUTE, "scenario.least_heard=2"], ["scenario.least_heard=2", "<= 1"]),
+    "elsewhere": (INWARD, WALLS, ["scenario.route=[[901,1],[911,1],[911,5]]"], ["scenario.route=", "no point of the route sees any access node"]),
+    "another country": (INWARD, WALLS, ["scenario.route=[[500001,1],[500011,1],[500011,5]]"], ["scenario.anchors='a.csv'", "same coordinates"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("nodes", "walls", "more", "words"), PLANS.values(), ids=PLANS)
+def test_plans_without_any_measurement_or_in_other_units(
+    nodes, walls, more, words, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    Path("a.csv").write_text(nodes)
+    Path("w.csv").write_text(walls)
+    test_one_clear_line_and_status_2([*PLAN, *more], words, capsys, tmp_path, monkeypatch)
+
+
+LOG = ["run", "scenario=recorded", "scenario.path=l.csv", "scenario.anchors=a.csv"]
+BEACONS = "id,x_m,y_m,z_m\na,0,0,2.5\nb,6,0,2.5\nc,3,5,2.5\n"
+WHOLE = """fix,anchor,azimuth_deg,elevation_deg,rssi_dbm,x_m,y_m,z_m
+1,a,45,-27,-60,2,2,1
+1,b,153,-19,127,2,2,1
+2,a,14,-20,-61,4,1,1
+2,c,-76,-20,-70,4,1,1
+"""
+AZIMUTHS = "fix,anchor,azimuth_deg,x_m,y_m,z_m\n1,a,45,2,2,1\n1,b,153,2,2,1\n"
+LONELY = "fix,anchor,azimuth_deg,elevation_deg\n1,a,45,-27\n2,b,153,-19\n"
+DEAF = WHOLE.replace("-60", "127").replace("-61", "127").replace("-70", "-128")
+FITS = "with this recording fit estimator=["
+
+NEEDS = {  # an estimator that needs something, a log that has it not, and words of the line
+    "elevation": ("estimator=[ls]", AZIMUTHS, ["scenario='recorded'", "measures elevations", "estimator.ls needs", FITS, "ls_lines"]),
+    "elevation of ml": ("estimator=[ml_kcorr]", AZIMUTHS, ["measures elevations", "estimator.ml_kcorr needs", FITS]),
+    "elevation of vmf": ("estimator=[vmf_ml]", AZIMUTHS, ["measures elevations", "estimator.vmf_ml needs", FITS]),
+    "rssi": ("estimator=[rssi_anchor]", WHOLE.replace("rssi_dbm", "note"), ["measures signal strengths", "estimator.rssi_anchor needs", FITS, "anchor_mean"]),
+    "rssi that is never available": ("estimator=[rssi_anchor]", DEAF, ["measures signal strengths", "estimator.rssi_anchor needs"]),
+    "height": ("estimator=[anchor_mean]", WHOLE.replace("z_m", "up"), ["a known height", "estimator.anchor_mean needs", "scenario.height_m", FITS, "ls_lines"]),
+    "height of discrepancy": ("estimator=[discrepancy]", WHOLE.replace("4,1,1", "4,1,2"), ["a known height", "estimator.discrepancy needs", "scenario.height_m"]),
+    "truth": ("estimator=[best_anchor]", WHOLE.replace("x_m,y_m", "u,v").replace("z_m", "w"), ["scenario='recorded'", "estimator.best_anchor needs"]),
+    "several anchors": ("estimator=[ls_lines]", LONELY, ["two or more anchors measure at a time", "estimator.ls_lines needs", "scenario.window_s"]),
+    "several anchors, height free": ("estimator=[vmf_ml]", LONELY, ["two or more anchors measure at a time", "estimator.vmf_ml needs"]),
+    "an anchor": ("estimator=[single_anchor_2]", WHOLE.replace("1,b", "1,c"), ["estimator.single_anchor_2.anchor=2", "an anchor that measured: 1, 3"]),
+    "delay": ("estimator=[wcg]", WHOLE, ["times of arrival", "estimator.wcg needs", FITS]),
+    "motion": ("filter=[ekf_vmf]", WHOLE, ["scenario='recorded'", "motion model", "filter.ekf_vmf needs", FITS]),
+    "stated deviations": ("filter=[ekf_aoa]", WHOLE, ["filter.ekf_aoa needs", FITS]),
+    "anything": ("estimator=[ls_lines]", "fix,anchor,azimuth_deg\n1,a,\n1,b,\n", ["scenario.path='l.csv'", "at least one azimuth or elevation"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("estimator", "log", "words"), NEEDS.values(), ids=NEEDS)
+def test_what_a_log_lacks_is_named_before_the_run(
+    estimator, log, words, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    Path("a.csv").write_text(BEACONS)
+    Path("l.csv").write_text(log)
+    test_one_clear_line_and_status_2([*LOG, estimator], words, capsys, tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize(("argv", "words"), [
+    (["filter=[ekf_toa_aoa]", "noise=vmf"], ["noise='vmf'", "filter.ekf_toa_aoa needs", "these fit: ofdm_crlb"]),
+    (["estimator=[wcg]", "noise=ae_flip"], ["noise='ae_flip'", "estimator.wcg needs", "these fit: ofdm_crlb"]),
+    (["estimator=[rssi_anchor]", "scenario=ble_room"], ["noise='vmf'", "these fit: ble_multipath, ofdm_crlb"]),
+    (["filter=[ekf_vmf]", "scenario=bs_grid"], ["scenario='bs_grid'", "these fit: indoor_map", "square_track"]),
+    (["estimator=[anchor_mean]", "scenario=bs_grid"], ["scenario='bs_grid'", "these fit: ble_room"]),
+    (["estimator=[ls]", "scenario=indoor_map", "scenario.nearest=1"], ["two or more anchors measure at a time"]),
+])  # fmt: skip
+def test_what_fits_is_named(argv, words, capsys, tmp_path, monkeypatch):
+    test_one_clear_line_and_status_2(["run", *argv], words, capsys, tmp_path, monkeypatch)
+
+
+CASES_FOLDER = os.environ.get("AOABENCH_CASES", "")
+
+
+@pytest.mark.skipif(not CASES_FOLDER, reason="AOABENCH_CASES names no folder of cases")
+def test_the_case_of_degrees(capsys, tmp_path, monkeypatch):
+    folder = Path(CASES_FOLDER) / "plan_degrees"
+    shutil.copy(folder / "an.csv", tmp_path / "a.csv")
+    shutil.copy(folder / "walls.geojson", tmp_path)
+    argv = [*PLAN, ROUTE, "scenario.walls=walls.geojson"]
+    test_one_clear_line_and_status_2(argv, ["degrees"], capsys, tmp_path, monkeypatch)
 
 
 def test_a_bad_value_late_in_a_sweep_is_found_before_anything_runs(tmp_path, monkeypatch, capsys):

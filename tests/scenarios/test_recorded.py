@@ -80,14 +80,6 @@ def test_a_long_table_becomes_fixes_by_anchors(here):
     assert s.notes == ("log.csv: 2 fixes, 2 with ground truth; 4 rows of 3 anchors",)
 
 
-def test_facing_is_that_of_floor_plans(here):
-    from aoabench.devices.plan import read_anchors
-
-    theirs, ours = read_anchors("anchors", Path("anchors.csv")), read().true_anchors
-    np.testing.assert_allclose(ours.position, theirs.position)
-    np.testing.assert_allclose(ours.rotation, theirs.rotation, atol=1e-15)
-
-
 def test_names_of_columns_and_formats_do_not_matter(here):
     frame = pd.read_csv("log.csv").rename(
         columns={
@@ -264,6 +256,62 @@ def test_heading_from_a_column(here):
             read(bad, measured_by="mobile")
 
 
+RSSI = """fix,anchor,azimuth_deg,elevation_deg,rssi_dbm,x_m,y_m,z_m
+1,a1,45,-10,{},3,3,1
+1,a2,20,-12,{},3,3,1
+"""
+
+
+@pytest.mark.parametrize(("given", "declared", "expected"), [
+    ((-60, 127), {}, (-60, math.nan)),
+    ((-128, -90), {}, (math.nan, -90)),
+    ((127.0, ""), {}, None),
+    ((0, -90), {}, (0, -90)),
+    ((0, -90), {"rssi_absent": [127, -128, 0]}, (math.nan, -90)),
+    ((127, -90), {"rssi_absent": []}, (127, -90)),
+    ((20, 255), {"rssi_absent": [255]}, (20, math.nan)),
+])  # fmt: skip
+def test_signal_strengths_that_mean_not_available(here, given, declared, expected):
+    s = read(RSSI.format(*given), **declared)
+    if expected is None:
+        assert s.recorded.rssi is None
+        assert "rssi" not in s.offers()
+    else:
+        np.testing.assert_array_equal(s.recorded.rssi, [[*expected, math.nan]])
+    absent = sum(x in declared.get("rssi_absent", (127, -128)) for x in given)
+    told = [line for line in s.notes if "not available" in line]
+    assert len(told) == (absent > 0)
+    numbers = sum(x != "" for x in given)
+    assert all(f"{absent} of {numbers} rssi_dbm mean not available" in line for line in told)
+    assert any("far below 20 dBm" in line for line in s.notes) == (given == (127, -90))
+
+
+def test_the_strongest_anchor_is_one_that_has_a_strength(here):
+    from aoabench.engine.tiles import Draws, estimate_tile
+    from aoabench.types import Outcome
+
+    Path("log.csv").write_text(RSSI.format(-60, 127) + "2,a1,45,-10,127,3,3,1\n")
+    words = ["scenario=recorded", "scenario.path=log.csv", "scenario.anchors=anchors.csv"]
+    cell = compose_cells([*words, "estimator=[rssi_anchor,single_anchor_1]"])[0]
+    draws = Draws(cell.scenario, cell.noise, 1)
+    best, first = (estimate_tile(draws, e, 0)[1] for e in cell.estimators.values())
+    np.testing.assert_array_equal(best.position[0, 0], first.position[0, 0])
+    assert best.outcome[0, 1] in (Outcome.FAILED, Outcome.REJECTED)  # no strength, no choice
+
+
+@pytest.mark.parametrize("value", [5, "127", ["a"], [math.nan], [True]])
+def test_sentinels_are_numbers(here, value):
+    with pytest.raises(UserError, match=r"scenario\.rssi_absent"):
+        read(rssi_absent=value)
+
+
+def test_an_anchor_measures_alone_or_with_others(here):
+    assert "several_anchors" in read().offers()
+    assert (
+        "several_anchors" not in read(LOG.replace("1,a2", "3,a2").replace("2,a3", "4,a3")).offers()
+    )
+
+
 def test_deviations(here):
     log = "fix,anchor,azimuth_deg,azimuth_sigma_deg,elevation_deg,elevation_sigma_deg\n1,a1,10,3,,\n1,a2,20,-5,7,2\n"
     with pytest.raises(UserError, match="line 3 has azimuth_sigma_deg=-5"):
@@ -326,7 +374,7 @@ def test_mistakes_have_one_line_with_key_value_and_allowed(here, log, changes, w
 
 
 @pytest.mark.parametrize(("content", "words"), [
-    ("x_m,y_m\n1,2\n", ["id, x_m, y_m", "it has x_m, y_m"]),
+    ("id,x_m,y\na1,1,2\n", ["columns x_m, y_m and", "it has id, x_m, y"]),
     ("id,x_m,y_m\na1,1,2\na1,3,4\n", ["each id once", "line 3 has id='a1'"]),
     ("id,x_m,y_m\na1,1,\n", ["line 2 has y_m=nan", "every row"]),
     ("id,x_m,y_m,facing_deg\na1,1,2,north\n", ["line 2 has facing_deg='north'"]),

@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
 from aoabench.config.plugins import construct
-from aoabench.devices.plan import in_sight
+from aoabench.devices.sight import in_sight
 from aoabench.errors import UserError
 from aoabench.maths.geometry import in_frames, to_azel
 from aoabench.models.motion import ConstantAcceleration, RandomWalk
@@ -393,15 +393,15 @@ def test_own_files_come_first_and_any_path_will_do(here):
 
 @pytest.mark.parametrize(("text", "says"), [
     (None, "existing file; shipped: indoor_map.geojson, indoor_map_anchors.csv"),
-    ("", "columns x_m, y_m, z_m, facing_deg"),
-    ("x_m,y_m,z_m\n1,2,3\n", "columns x_m, y_m, z_m, facing_deg"),
+    ("", "line 1 is empty"),
+    ("x_m,z_m\n1,2\n", "columns x_m, y_m and, where needed, id (else 1, 2, ...), z_m, facing_deg, pitch_deg, roll_deg"),
     ("x_m,x_m,y_m,z_m,facing_deg\n1,1,2,3,4\n", "each once"),
-    ("x_m,y_m,z_m,facing_deg\n", "at least one anchor"),
+    ("x_m,y_m,z_m,facing_deg\n", "at least one row"),
     ("x_m,y_m,z_m,facing_deg\n1,2,3,0\n1,2,high,0\n", "line 3 has z_m='high'"),
-    ("x_m,y_m,z_m,facing_deg\n1,2,3\n", "line 2 has facing_deg=''"),
-    ("x_m,y_m,z_m,facing_deg\n1,nan,3,0\n", "line 2 has y_m='nan'"),
+    ("x_m,y_m,z_m,facing_deg\n1,2,3\n", "line 2 has facing_deg=nan"),
+    ("x_m,y_m,z_m,facing_deg\n1,nan,3,0\n", "line 2 has y_m=nan"),
     ("x_m,y_m,z_m,facing_deg\n1,inf,3,0\n", "finite number"),
-    (b"\xff\xfe\x00x", "readable file in UTF-8"),
+    (b"\xff\xfe\x00x", "byte 0 is not UTF-8"),
 ])  # fmt: skip
 def test_a_bad_anchor_file_gives_one_clear_line(text, says, here):
     if text is not None:

@@ -1,0 +1,99 @@
+"""Anchors and walls of a floor plan, read together and checked against each other and a route."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from aoabench.devices import plan
+from aoabench.devices.anchors import AnchorsFile, read_anchors
+from aoabench.devices.extent import Box, Thing, check_anchors, check_walls
+from aoabench.devices.sight import faces_along, in_sight, on_walls
+from aoabench.errors import BadValue
+from aoabench.maths.geometry import Array
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """The content of the files: anchors; walls (W, 2, 2) m and visited area in m^2, each or None.
+
+    `unit` is the declared unit of the walls, or None.
+    """
+
+    known: AnchorsFile
+    walls: Array | None
+    area_m2: float | None
+    unit: str | None
+
+    @classmethod
+    def read(cls, files: Sequence[Path], unit: str | None, crs: str | None) -> FloorPlan:
+        """The plan in the files of anchors and, as a second one, of walls.
+
+        Raises BadValue, with the keys `anchors`, `walls` and `walls_crs`, for mistakes.
+        """
+        if crs == "wgs84":
+            raise BadValue("walls_crs", crs, "local, or null; degrees are not supported yet")
+        known = read_anchors("anchors", str(files[0]))
+        if len(files) == 1:
+            return cls(known, None, None, unit)
+        walls, area = plan.read_walls("walls", files[1], unit, crs == "local")
+        return cls(known, walls, area, unit)
+
+    @property
+    def position(self) -> Array:
+        """Positions (B, 3) m of the anchors."""
+        return self.known.anchors.position[0, 0]
+
+    def check(self, names: Sequence[object], route: Array, wanders: bool) -> None:
+        """Raise BadValue unless anchors, walls and route (K, 2) m share one place and one unit, and
+        for anchors on walls in a file that does not state which side they face.
+
+        `names` are the files of anchors and walls as the user calls them; `wanders` is whether the
+        target leaves the route.
+        """
+        nodes = Thing("access nodes", "anchors", names[0], self.position)
+        target = Thing("the route", "route", route.tolist(), route)
+        if self.walls is None:
+            check_anchors(nodes, target)
+            return
+        walls = Thing("walls", "walls", names[1], self.walls)
+        check_anchors(nodes, target, walls)
+        check_walls(walls, nodes, target, plan.UNITS, self.unit, sights=not wanders)
+        if self.known.facing is None and on_walls(self.position, self.walls).any():
+            allowed = (
+                "a file with the column facing_deg, because access nodes stand on walls: "
+                "they see into the side that they face"
+            )
+            raise BadValue("anchors", names[0], allowed)
+
+    def in_sight(self, points: Array) -> np.ndarray:
+        """Mask (N, B) of the anchors in line of sight of each point (N, 2+) m, see `sight`."""
+        return in_sight(points, self.position, self.walls, self.known.facing)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks to print."""
+        if self.walls is None:
+            return self.known.notes
+        box, flat = Box.around(self.walls), self.position[:, :2]
+        outside = ((flat < box.low) | (flat > box.high)).any(axis=1)
+        outside &= ~on_walls(flat, self.walls).any(axis=1)
+        found = [*self.known.notes]
+        if outside.any():
+            line = (
+                f"outside the walls, which lie within {box} m; are x_m and y_m those of the plan?"
+            )
+            found.append(f"access nodes {self._ids(np.flatnonzero(outside))} stand {line}")
+        if self.known.facing is not None:
+            both = faces_along(self.position, self.walls, self.known.facing)
+            line = "stand on a wall and face along it, so they see both sides"
+            if both:
+                found.append(f"access nodes {self._ids(both)} {line}; facing_deg decides the side")
+        return tuple(found)
+
+    def _ids(self, which: Sequence[int] | np.ndarray) -> str:
+        """The ids of some anchors, at most ten of them."""
+        return ", ".join(self.known.ids[j] for j in which[:10]) + ", ..." * (len(which) > 10)

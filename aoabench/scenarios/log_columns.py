@@ -1,0 +1,41 @@
+"""Names of the columns of a log in a scenario's YAML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from aoabench.params import CheckedParams, param
+
+
+def _column(help: str, default: str) -> Any:
+    allowed = "the name of a column, or null"
+    return param(None, f"column of {help}; null: {default}, if the file has it", allowed=allowed)
+
+
+@dataclass(frozen=True)
+class Columns(CheckedParams):
+    """Names of the columns in the file. The columns azimuth, anchor, and fix or time are required.
+    An empty angle was not measured.
+    """
+
+    azimuth: str | None = _column("azimuths", "azimuth_deg or azimuth_rad")
+    elevation: str | None = _column("elevations", "elevation_deg or elevation_rad")
+    anchor: str | None = _column("the anchors' ids", "anchor")
+    fix: str | None = _column("the fixes' numbers or names, used in place of time", "fix")
+    time: str | None = _column(
+        "times by one clock, numbers or dates and times (ISO 8601)", "time_s, or by time_unit"
+    )
+    rssi: str | None = _column("signal strengths in dBm", "rssi_dbm")
+    azimuth_sigma: str | None = _column(
+        "the azimuths' standard deviations", "azimuth_sigma_deg or azimuth_sigma_rad"
+    )
+    elevation_sigma: str | None = _column(
+        "the elevations' standard deviations", "elevation_sigma_deg or elevation_sigma_rad"
+    )
+    heading: str | None = _column(
+        "the mobile's heading in deg, if heading_deg is null", "heading_deg"
+    )
+    x: str | None = _column("x of the true positions in m", "x_m")
+    y: str | None = _column("y of the true positions in m", "y_m")
+    z: str | None = _column("z of the true positions in m", "z_m")
