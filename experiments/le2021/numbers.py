@@ -21,11 +21,12 @@ from aoabench.maths import statistics
 from aoabench.maths.statistics import Estimate
 from aoabench.roles import Scenario
 from aoabench.store.fixes import Fixes
-from aoabench.types import Outcome
+from aoabench.types import Outcome, Reason
 
 Runs = Iterable[tuple[Cell, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
 PROPOSED = "ml_kcorr"
 FEW = 10  # positions; a class with fewer gets no standard error
+# of iterations; one that converges behind an anchor has converged
 CLASSES = {
     "convergence": Outcome.OK,
     "divergence": Outcome.DIVERGED,
@@ -93,9 +94,16 @@ def accuracy(cell: Cell, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:
         row |= above.columns("above_percent", "above_se")
         row |= {"rmse_of_proposed_is": standing(above), **updates(name, f, proposed)}
         for word, outcome in CLASSES.items():
-            row[f"share_{word}"] = float((f.outcome == outcome).mean())
+            row[f"share_{word}"] = float((iterated(f) == outcome).mean())
         rows.append(row)
     return rows
+
+
+def iterated(f: Fixes) -> np.ndarray:
+    """Outcomes (R, T) of the iterations: OK too where a fix has converged behind an anchor."""
+    if f.reason is None:
+        return f.outcome
+    return np.where(f.reason == Reason.BEHIND, Outcome.OK, f.outcome)
 
 
 def updates(name: str, f: Fixes, proposed: Fixes) -> dict[str, Any]:
@@ -182,10 +190,10 @@ def classes(name: str, sigma_deg: float, some: list[Fixes]) -> list[dict[str, An
     """A row for each class of an estimator's fixes; standard errors over positions (of the median:
     by jackknife).
     """
-    error, iterations, outcome = (
-        np.concatenate([getattr(f, field) for f in some])
-        for field in ("error_3d_m", "iterations", "outcome")
+    error, iterations = (
+        np.concatenate([getattr(f, field) for f in some]) for field in ("error_3d_m", "iterations")
     )
+    outcome = np.concatenate([iterated(f) for f in some])
 
     def sums(member: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.where(member, values, 0.0).sum(axis=0)
