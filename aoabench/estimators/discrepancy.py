@@ -198,7 +198,9 @@ class Discrepancy(Compiled, Estimator):
                 chosen = known[self.selected(m[k, known], L[k, known])]
                 used[k], outcome[k] = len(chosen), Outcome.OK if len(chosen) else Outcome.REJECTED
                 if len(chosen):
-                    position[k, :2], covariance[k, :2, :2] = fused(m[k, chosen], L[k, chosen])
+                    position[k, :2], covariance[k, :2, :2] = ellipses.fused(
+                        m[k, chosen], L[k, chosen]
+                    )
                     p = np.array([*position[k, :2], height])
                     if (((p - s[k, chosen]) * ahead[k, chosen]).sum(axis=-1) < 0).any():
                         outcome[k] = Outcome.DIVERGED
@@ -264,14 +266,14 @@ class Discrepancy(Compiled, Estimator):
             corners = np.stack(np.meshgrid(*lower.T), axis=-1).reshape(
                 -1, 1, 2
             )  # a common box has its lower corner at one of these
-            sets = largest(np.all((lower <= corners) & (corners <= upper), axis=-1))
+            sets = ellipses.largest(np.all((lower <= corners) & (corners <= upper), axis=-1))
         # a common region has crossings as vertices, or it is one whole ellipse with its centre
         else:
             inside = [ellipses.levels(m, m, L) <= 1 + ellipses.TOUCH]
             for pair, p in ellipses.all_crossings(m, L).items():
                 inside.append(ellipses.levels(p, m, L) <= 1 + ellipses.TOUCH)
                 inside[-1][:, pair] = True
-            sets = largest(np.concatenate(inside))
+            sets = ellipses.largest(np.concatenate(inside))
         if len(sets[0]) < 2:
             return np.array([], dtype=int)
         best, chosen = -1.0, sets[0]
@@ -283,20 +285,3 @@ class Discrepancy(Compiled, Estimator):
             if common / union > best + EVEN:  # (19)
                 best, chosen = common / union, M
         return chosen
-
-
-def largest(inside: np.ndarray) -> list[np.ndarray]:
-    """The largest sets (18) of anchors, in the order of anchor numbers, from the mask (K, B) of the
-    ellipses that contain each of K points.
-    """
-    count = inside.sum(axis=1)
-    return [np.flatnonzero(M) for M in np.unique(inside[count == count.max()], axis=0)[::-1]]
-
-
-def fused(m: Array, L: Array) -> tuple[Array, Array]:
-    """S3: mean (2,) and covariance (2, 2) of the product of normals m (B, 2), Sigma = L L^T (B, 2,
-    2)  (20), (21).
-    """
-    information = np.linalg.inv(L @ np.swapaxes(L, -1, -2))
-    covariance = np.linalg.inv(information.sum(axis=0))
-    return m[0] + covariance @ (information @ (m - m[0])[..., None]).sum(axis=0)[:, 0], covariance

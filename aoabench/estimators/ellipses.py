@@ -130,3 +130,20 @@ def box_areas(lower: Array, upper: Array) -> tuple[float, float]:
     ]
     union = np.diff(x) @ (covered[0][:, :, None] & covered[1][:, None, :]).any(axis=0) @ np.diff(y)
     return float(common), float(union)
+
+
+def largest(inside: np.ndarray) -> list[np.ndarray]:
+    """The largest sets (18) of anchors, in the order of anchor numbers, from the mask (K, B) of the
+    ellipses that contain each of K points.
+    """
+    count = inside.sum(axis=1)
+    return [np.flatnonzero(M) for M in np.unique(inside[count == count.max()], axis=0)[::-1]]
+
+
+def fused(m: Array, L: Array) -> tuple[Array, Array]:
+    """S3: mean (2,) and covariance (2, 2) of the product of normals m (B, 2), Sigma = L L^T (B, 2,
+    2)  (20), (21).
+    """
+    information = np.linalg.inv(L @ np.swapaxes(L, -1, -2))
+    covariance = np.linalg.inv(information.sum(axis=0))
+    return m[0] + covariance @ (information @ (m - m[0])[..., None]).sum(axis=0)[:, 0], covariance
