@@ -91,7 +91,7 @@ def test_reasons_of_every_fix_are_counted(run):
     assert (choosy["reason"], choosy["share_reason"]) == ("no_agreement", 42 / 126)
     mean = summary.loc["anchor_mean"]
     assert (mean["reason"], mean["share_reason"]) == ("behind", mean["share_diverged"])
-    assert 0 < mean["share_diverged"] < 0.01
+    assert 0 < mean["share_diverged"] < 0.1
     assert (summary[["share_unmeasured", "share_imprecise"]] == 0).all(axis=None)
     failed = pd.read_parquet(run / "failures.parquet")
     assert list(failed["replication"]) == [0, 1, 2, 3]
