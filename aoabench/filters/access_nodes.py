@@ -38,6 +38,7 @@ from aoabench.filters.trace import innovations
 from aoabench.kernels.limits import ROUNDED
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import LIGHT, Array, wrap
+from aoabench.models.components import LEAST_VARIANCE
 from aoabench.params import param
 from aoabench.roles import NEEDS, Belief, Estimator, Scenario, believed
 from aoabench.streams import Streams
@@ -90,8 +91,7 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
             raise Unfit(*NEEDS["stated_sigma"])
         y, q, heard = self.measured(batch)
         filtered = self.filtered(batch.anchors, belief, y, q, heard)
-        components = y.reshape(*y.shape[:2], -1)
-        return self.outcomes(filtered, components, batch.anchors, belief)
+        return self.outcomes(filtered, y.reshape(*y.shape[:2], -1), batch.anchors, belief)
 
     def filtered(
         self, anchors: Anchors, belief: Belief, y: Array, q: Array, heard: np.ndarray
@@ -118,8 +118,7 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
         own = heard >= 0
         found[:, np.nonzero(own)[0], heard[own]] = np.stack(seen, axis=1)[:, own]
         names = ("range_m", "azimuth_rad", "elevation_rad")
-        shape = (*batch.azimuth.shape[:2], -1)
-        return innovations(found.reshape(shape), batch.azimuth.shape[2], names)
+        return innovations(found.reshape(*found.shape[:2], -1), found.shape[2], names)
 
     def measured(self, batch: Batch) -> tuple[Array, Array, np.ndarray]:
         """Return measurements, their variances, and the numbers (T, K) of the ANs heard per step.
@@ -145,10 +144,11 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
         ]
         for i, (value, sigma, scale) in enumerate(pairs):
             if value is not None and sigma is not None:
-                variance = (scale * sigma[of]) ** 2
+                with np.errstate(over="ignore"):  # not measured
+                    variance = (scale * sigma[of]) ** 2
                 usable = np.isfinite(variance) & (variance > 0)
                 y[:, own, i] = np.where(usable, scale * value[of], np.nan)
-                q[:, own, i] = np.where(usable, variance, 1.0)
+                q[:, own, i] = np.maximum(np.where(usable, variance, 1.0), LEAST_VARIANCE)
         return y, q, heard
 
     def _recursion(  # noqa: PLR0913 - as the kernel takes them

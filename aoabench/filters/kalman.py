@@ -62,7 +62,9 @@ class _Kalman(InnovationBound, Compiled, Filter):
 
         A fix is DIVERGED, and keeps its position, for one of the reasons of `filters.divergence`.
         """
-        belief, (Y, quality) = believed(batch, scenario), self.measurement.observe(batch)
+        belief = believed(batch, scenario)
+        with np.errstate(all="ignore"):  # deviations that are 0 or infinite are not measured
+            Y, quality = self.measurement.observe(batch)
         filtered = self.filtered(batch.anchors, belief, Y, quality)
         return self.outcomes(filtered, Y, batch.anchors, belief)
 
@@ -89,7 +91,8 @@ class _Kalman(InnovationBound, Compiled, Filter):
         seen: list[Array] = []
         belief = believed(batch, scenario)
         belief = belief._replace(covariance=prior_root(belief.covariance))
-        self._recursion(batch.anchors, belief, *self.measurement.observe(batch), seen)
+        with np.errstate(all="ignore"):
+            self._recursion(batch.anchors, belief, *self.measurement.observe(batch), seen)
         return innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
 
     def _recursion(
@@ -162,8 +165,10 @@ class EKF(_Kalman):
         h = self.measurement
         f = np.swapaxes(h.jacobian(x, anchors) @ L, -1, -2)
         v = h.residual(y, h.predict(x, anchors))
-        skipped = np.repeat(near(x, L, anchors), y.shape[1] // anchors.count, axis=1)
-        return L, f, np.where(skipped, np.nan, v), h.covariance(x, anchors, r)
+        skipped = near(x, L, anchors)
+        if skipped.any():
+            v = np.where(np.repeat(skipped, v.shape[1] // anchors.count, axis=1), np.nan, v)
+        return L, f, v, h.covariance(x, anchors, r)
 
 
 @dataclass(frozen=True)

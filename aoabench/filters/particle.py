@@ -114,8 +114,7 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         expected measurement describes a cloud of particles that a curved likelihood bends.
         """
         belief = believed(batch, scenario)
-        with np.errstate(all="ignore"):  # what is not finite is counted as failed
-            each = self._each(batch, belief, streams)
+        each = self._each(batch, belief, streams)
         found = sound(*(np.stack([one[i] for one in each]) for i in range(2)))
         informed = np.stack([one.outcome for one in each]) == Outcome.OK
         found = marked(found, ~informed, Reason.NO_LIKELIHOOD)
@@ -139,6 +138,7 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
             columns |= innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
         return columns
 
+    @np.errstate(all="ignore")  # what is not finite is counted as failed
     def _each(self, batch: Batch, belief: Belief, streams: Streams) -> list[Posterior]:
         """The posterior of each replication."""
         Y, quality = self.measurement.observe(batch)

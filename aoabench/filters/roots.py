@@ -67,16 +67,15 @@ def absorb(x: Array, B: Array, f: Array, v: Array, r: Array) -> tuple[Array, Arr
     t = np.concatenate([np.where(missing, 0.0, -v), x], axis=1)
     E = np.concatenate([np.swapaxes(f, -1, -2), B], axis=1)
     t, E = np.ascontiguousarray(t.T), np.ascontiguousarray(E.transpose(1, 2, 0))  # fastest layout
-    with np.errstate(divide="ignore", invalid="ignore"):
-        squared = -ROUNDED * np.where(r > 0, t[:m] ** 2 / r, 0.0).sum(axis=0)
+    nominal = np.where(r > 0, r, np.inf)  # a component without an error of its own rounds nothing
+    rounded, S = ROUNDED * (t[:m] ** 2 / nominal).sum(0), np.empty_like(r)
     for j in range(m):
         g, rest = E[j], slice(j + 1, None)
-        s = r[j] + (g * g).sum(0)
+        S[j] = s = r[j] + (g * g).sum(0)
         w = np.einsum("ikr,kr->ir", E[rest], g)
-        squared += t[j] * (t[j] / s)
         t[rest] -= w * (t[j] / s)
         E[rest] -= w[:, None] * (g / (s + np.sqrt(r[j] * s)))
-    return t[m:].T, E[m:].transpose(2, 0, 1), squared
+    return t[m:].T, E[m:].transpose(2, 0, 1), (t[:m] ** 2 / S).sum(0) - rounded
 
 
 def near(x: Array, B: Array, anchors: Anchors) -> np.ndarray:
@@ -86,5 +85,6 @@ def near(x: Array, B: Array, anchors: Anchors) -> np.ndarray:
     x (R, n) and B (R, n, k) are the predicted mean and a factor of its covariance; anchors are
     those of one step. The distance is below NEAREST times the standard deviation of the position.
     """
-    apart = x[:, None, :3] - anchors.frames[0]
-    return np.asarray((apart**2).sum(-1) < NEAREST**2 * (B[:, :3] ** 2).sum((1, 2))[:, None])
+    apart, root = x[:, None, :3] - anchors.frames[0], B[:, :3]
+    variance = np.einsum("rik,rik->r", root, root)
+    return np.asarray(np.einsum("rbi,rbi->rb", apart, apart) < NEAREST**2 * variance[:, None])

@@ -385,11 +385,16 @@ def nasty():
     nothing = {n: np.full_like(batch.azimuth, np.nan) for n in ("azimuth", "elevation", "delay")}
     rows["no measurement at all"] = replace(batch, **nothing), scenario
     rows["azimuths alone"] = replace(batch, elevation=nothing["azimuth"]), scenario
-    for name, sigma in (("tiny", 1e-12), ("huge", 1e9)):
+    for name, sigma in (
+        ("tiny", 1e-12), ("huge", 1e9), ("zero", 0.0), ("infinite", np.inf), ("senseless", 1e-160),
+    ):  # fmt: skip
         one = batch.azimuth_sigma.copy()
         one[:, ::2, 1] = sigma
         stated = {"azimuth_sigma": one, "elevation_sigma": one}
-        rows[f"a {name} variance among others"] = replace(batch, **stated), scenario
+        rows[f"{name} variances among others"] = replace(batch, **stated), scenario
+        each = np.full_like(one, sigma)
+        stated = {"azimuth_sigma": each, "elevation_sigma": each}
+        rows[f"{name} variances alone"] = replace(batch, **stated), scenario
     return rows
 
 
