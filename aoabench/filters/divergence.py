@@ -2,7 +2,7 @@
 
 A diverged fix keeps its position and covariance and counts in every error; only its outcome says
 that the filter's own belief contradicts the geometry (TOO_FAR), the measurements (INNOVATIONS) or
-itself (COVARIANCE).
+itself (COVARIANCE). A step without any measurement is judged by its position and covariance alone.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def sound(position: Array, covariance: Array) -> Estimates:
 
 
 def marked(found: Estimates, wrong: np.ndarray, reason: Reason) -> Estimates:
-    """Return `found` with the OK fixes that are `wrong` (R, T) marked DIVERGED for `reason`."""
+    """Mark OK fixes of `found` that are `wrong` (R, T) DIVERGED for `reason`; return `found`."""
     assert found.reason is not None
     if wrong.any():
         wrong = wrong & (found.outcome == Outcome.OK)
@@ -126,12 +126,11 @@ def too_far(position: Array, anchors: Anchors, belief: Belief, factor: float) ->
     known = np.asarray(np.isfinite(places).all(-1))
     with np.errstate(invalid="ignore"):
         centre = np.where(known[..., None], places, 0.0).sum(2) / known.sum(2)[..., None]
-    apart = np.where(known, _length(places - centre[:, :, None]), 0.0)
-    spread = apart.max(axis=2, initial=0.0)
-    deviation = np.sqrt(np.trace(belief.covariance[:3, :3]))
-    extent = np.maximum(spread, _length(belief.mean[:, None, :3] - centre) + deviation)
-    bound = np.where(extent > 0, factor * extent, np.inf)
-    with np.errstate(invalid="ignore"):
+        apart = np.where(known, _length(places - centre[:, :, None]), 0.0)
+        deviation = np.sqrt(np.trace(belief.covariance[:3, :3]))
+        off = _length(belief.mean[:, None, :3] - centre) + deviation
+        extent = np.maximum(apart.max(axis=2, initial=0.0), off)
+        bound = np.where(extent > 0, factor * extent, np.inf)
         if 2 * (np.abs(position).max() + np.abs(centre).max()) < bound.min():
             return np.zeros(position.shape[:-1], dtype=bool)  # decided faster, without lengths
         return _length(position - centre) > bound
