@@ -27,19 +27,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from aoabench.errors import Unfit
-from aoabench.filters.roots import EPS, absorb, covariance, predicted, prior_root
+from aoabench.filters.divergence import Filtered, InnovationBound
+from aoabench.filters.roots import EPS, absorb, covariance, near, predicted, prior_root
 from aoabench.filters.trace import innovations
+from aoabench.kernels.limits import ROUNDED
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import LIGHT, Array, wrap
+from aoabench.models.components import LEAST_VARIANCE
 from aoabench.params import param
-from aoabench.roles import NEEDS, Estimator, Scenario, believed
+from aoabench.roles import NEEDS, Belief, Estimator, Scenario, believed
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates, Outcome
+from aoabench.types import Anchors, Batch, Estimates
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
     from aoabench.kernels import access_nodes  # noqa: F401
@@ -51,10 +54,12 @@ RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 
 @dataclass(frozen=True)
-class AccessNodeEKF(Compiled, Estimator):
+class AccessNodeEKF(InnovationBound, Compiled, Estimator):
     """EKF with times and angles of arrival, or angles alone.
 
-    `Anchors.position_sigma` holds the standard deviations of the ANs' positions; None: exact.
+    An AN on the predicted mean, or nearer than 0.001 of its standard deviation, has no meaningful
+    derivatives and is left out at that step. `Anchors.position_sigma` holds the standard deviations
+    of the ANs' positions; None: exact.
     """
 
     toa: bool = param(True, "whether times of arrival are used beside the angles")
@@ -75,22 +80,28 @@ class AccessNodeEKF(Compiled, Estimator):
         return frozenset({"motion", "prior", "stated_sigma"} | ({"delay"} if self.toa else set()))
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
+        """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2.
+
+        A fix is DIVERGED, and keeps its position, for one of the reasons of `filters.divergence`.
+        """
         belief = believed(batch, scenario)
         if self.toa and (batch.delay is None or batch.delay_sigma is None):
             raise Unfit(*NEEDS["delay"])
         if batch.azimuth_sigma is None or batch.elevation_sigma is None:
             raise Unfit(*NEEDS["stated_sigma"])
-        compiled = self.compiled(batch.anchors)
+        y, q, heard = self.measured(batch)
+        filtered = self.filtered(batch.anchors, belief, y, q, heard)
+        return self.outcomes(filtered, y.reshape(*y.shape[:2], -1), batch.anchors, belief)
+
+    def filtered(
+        self, anchors: Anchors, belief: Belief, y: Array, q: Array, heard: np.ndarray
+    ) -> Filtered:
+        """The recursion over the results of `measured`, in the kernel if there is one."""
+        compiled = self.compiled(anchors)
         recursion = self._recursion if compiled is None else compiled.run
         flags = tuple(name in self.as_printed for name in PRINTED)
         belief = belief._replace(covariance=prior_root(belief.covariance))
-        given = (*belief, *self.measured(batch), batch.anchors, _variances(batch.anchors), flags)
-        position, P = recursion(*given)
-        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(P).all((-1, -2)))
-        position = np.where(finite[..., None], position, np.nan)
-        outcome = np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
-        return Estimates(position, P, None, outcome)
+        return Filtered(*recursion(*belief, y, q, heard, anchors, _variances(anchors), flags))
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by access node and component; NaN where the
@@ -107,8 +118,7 @@ class AccessNodeEKF(Compiled, Estimator):
         own = heard >= 0
         found[:, np.nonzero(own)[0], heard[own]] = np.stack(seen, axis=1)[:, own]
         names = ("range_m", "azimuth_rad", "elevation_rad")
-        shape = (*batch.azimuth.shape[:2], -1)
-        return innovations(found.reshape(shape), batch.azimuth.shape[2], names)
+        return innovations(found.reshape(*found.shape[:2], -1), found.shape[2], names)
 
     def measured(self, batch: Batch) -> tuple[Array, Array, np.ndarray]:
         """Return measurements, their variances, and the numbers (T, K) of the ANs heard per step.
@@ -116,34 +126,29 @@ class AccessNodeEKF(Compiled, Estimator):
         Measurements are (c delay, azimuth, elevation) (R, T, K, 3) in m and rad, NaN = not
         measured. ANs that no replication heard are left out; -1 pads the numbers.
         """
-        angles = np.isfinite(batch.azimuth) | np.isfinite(batch.elevation)
-        heard_at_all = (
-            angles if batch.delay is None or not self.toa else angles | np.isfinite(batch.delay)
-        )
-        any_heard: np.ndarray = np.any(heard_at_all, axis=0)
+        each = np.isfinite(batch.azimuth) | np.isfinite(batch.elevation)
+        if self.toa and batch.delay is not None:
+            each = each | np.isfinite(batch.delay)
+        any_heard: np.ndarray = np.any(each, axis=0)
         step, an = np.nonzero(any_heard)
         heard = np.full((len(any_heard), max(int(any_heard.sum(axis=1).max(initial=0)), 1)), -1)
         heard[step, (np.cumsum(any_heard, axis=1) - 1)[step, an]] = an
         y = np.full((len(batch.azimuth), *heard.shape, 3), np.nan)
         q = np.ones_like(y)
         own = heard >= 0
-        k = np.nonzero(own)[0]
-        of = (slice(None), k, heard[own])
+        of = (slice(None), np.nonzero(own)[0], heard[own])
         pairs: list[Any] = [
+            (batch.delay, batch.delay_sigma, LIGHT) if self.toa else (None, None, 1.0),
             (batch.azimuth, batch.azimuth_sigma, 1.0),
             (batch.elevation, batch.elevation_sigma, 1.0),
         ]
-        pairs = (
-            [(batch.delay, batch.delay_sigma, LIGHT), *pairs]
-            if self.toa
-            else [(None, None, 1.0), *pairs]
-        )
         for i, (value, sigma, scale) in enumerate(pairs):
             if value is not None and sigma is not None:
-                variance = (scale * sigma[of]) ** 2
+                with np.errstate(over="ignore"):  # not measured
+                    variance = (scale * sigma[of]) ** 2
                 usable = np.isfinite(variance) & (variance > 0)
                 y[:, own, i] = np.where(usable, scale * value[of], np.nan)
-                q[:, own, i] = np.where(usable, variance, 1.0)
+                q[:, own, i] = np.maximum(np.where(usable, variance, 1.0), LEAST_VARIANCE)
         return y, q, heard
 
     def _recursion(  # noqa: PLR0913 - as the kernel takes them
@@ -159,12 +164,12 @@ class AccessNodeEKF(Compiled, Estimator):
         C: Array,
         flags: tuple[bool, ...],
         seen: list[Array] | None = None,
-    ) -> tuple[Array, Array]:
-        """The kernel's recursion in NumPy: positions (R, T, 3) m and covariances (R, T, 3, 3) m^2;
-        innovations (R, K, 3) are appended to `seen`.
+    ) -> tuple[Array, Array, Array]:
+        """The kernel's recursion in NumPy: positions (R, T, 3) m, covariances (R, T, 3, 3) m^2 and
+        normalised innovations squared (R, T); innovations (R, K, 3) are appended to `seen`.
         """
         x, B = np.asarray(mean), np.broadcast_to(root, (*mean.shape, mean.shape[1]))
-        means, covariances = [], []
+        means, covariances, nis = [], [], []
         with np.errstate(
             all="ignore"
         ):  # a replication that overflows becomes NaN and is counted as failed
@@ -175,18 +180,29 @@ class AccessNodeEKF(Compiled, Estimator):
                     v = y[:, k] - expected(x[:, :3], those, flags[0])[0]
                     v[..., 1] = wrap(v[..., 1])
                     seen.append(v)
-                c, u = columns(*information(x[:, :3], y[:, k], q[:, k], those, C[:, of], flags))
+                used = np.where(near(x, B, those)[..., None], np.nan, y[:, k])
+                A, g, squares = information(x[:, :3], used, q[:, k], those, C[:, of], flags)
+                c, u = columns(A, g)
                 f = np.swapaxes(B[:, :3], -1, -2) @ c
-                x, B = absorb(x, B, f, u, np.ones_like(u))
+                x, B, squared = absorb(x, B, f, u, np.ones_like(u))
                 means.append(x[:, :3])
                 covariances.append(covariance(B[:, :3]))
-        return np.stack(means, axis=1), np.stack(covariances, axis=1)
+                nis.append((1 - ROUNDED) * (squares - (u * u).sum(-1)) + squared)
+        return np.stack(means, 1), np.stack(covariances, 1), np.stack(nis, 1)
 
 
 def _variances(anchors: Anchors) -> Array:
     """Variances (R|1, B, 3) m^2 of the ANs' positions as stated; 0 where they are exact."""
     sigma = anchors.position_sigma
     return np.zeros((1, anchors.count, 3)) if sigma is None else np.square(sigma[:, 0])
+
+
+class Information(NamedTuple):
+    """A (R, 3, 3) and g (R, 3) of a step's measurements, and their v^T S^-1 v (R,)."""
+
+    A: Array
+    g: Array
+    squares: Array
 
 
 def columns(A: Array, g: Array) -> tuple[Array, Array]:
@@ -208,9 +224,9 @@ def columns(A: Array, g: Array) -> tuple[Array, Array]:
 
 def information(
     x: Array, y: Array, q: Array, anchors: Anchors, C: Array, flags: tuple[bool, ...] = (False,) * 4
-) -> tuple[Array, Array]:
-    """A (R, 3, 3) and g (R, 3) of one step's measurements y with variances q (R, B, 3) at positions
-    x (R, 3) m.
+) -> Information:
+    """The information of one step's measurements y with variances q (R, B, 3) at positions x (R, 3)
+    m.
 
     C (R|1, B, 3) m^2: variances of the ANs' positions; anchors are those of one step.
     """
@@ -229,39 +245,37 @@ def information(
     S[..., range(3), range(3)] = np.where(known, q, 1.0)
     if shared:
         groups = (np.array([1.0, 0, 0]), np.array([0, 1.0, 1])) if apart else (np.ones(3),)
-        A, g = np.zeros((len(x), 3, 3)), np.zeros((len(x), 3))
-        for group in groups:
-            a, b = common(*gather(H * group[:, None], v, S), C[:, 0])
-            A, g = A + a, g + b
-        return A, g
+        found = [common(*gather(H * group[:, None], v * group, S), C[:, 0]) for group in groups]
+        return Information(*(np.sum(each, axis=0) for each in zip(*found)))
     S += (H * C[:, :, None, :]) @ np.swapaxes(H, -1, -2)
     if apart:
         S[..., 0, 1:] = S[..., 1:, 0] = 0.0
     return gather(H, v, S)
 
 
-def common(A: Array, g: Array, C: Array) -> tuple[Array, Array]:
-    """A (I + C A)^-1 and (I + A C)^-1 g for an additional error of the position with variances
-    C (R|1, 3) m^2.
+def common(A: Array, g: Array, squares: Array, C: Array) -> Information:
+    """A (I + C A)^-1, (I + A C)^-1 g and `squares` - g^T C (I + A C)^-1 g for an additional error
+    of the position with variances C (R|1, 3) m^2.
 
-    With A = c c^T, g = c u and sqrt(C) c = f, these are c M M^T c^T and c M M^T u, where M is the
-    root of (I + f^T f)^-1.
+    With A = c c^T, g = c u and sqrt(C) c = f, the first two are c M M^T c^T and c M M^T u, where M
+    is the root of (I + f^T f)^-1.
     """
     c, u = columns(A, g)
     rows = np.concatenate([c, u[:, None]], axis=1)
     f = np.swapaxes(np.sqrt(C)[..., :, None] * c, -1, -2)
-    _, rows = absorb(np.zeros(rows.shape[:2]), rows, f, np.zeros_like(u), np.ones_like(u))
+    _, rows, _ = absorb(np.zeros(rows.shape[:2]), rows, f, np.zeros_like(u), np.ones_like(u))
     c, u = rows[:, :3], rows[:, 3]
-    return c @ np.swapaxes(c, -1, -2), (c @ u[..., None])[..., 0]
+    left = (c @ u[..., None])[..., 0]
+    return Information(c @ np.swapaxes(c, -1, -2), left, squares - (g * C * left).sum(-1))
 
 
-def gather(H: Array, v: Array, S: Array) -> tuple[Array, Array]:
-    """Sums over the ANs of H^T S^-1 H (R, 3, 3) and H^T S^-1 v (R, 3), from H and S (R, B, 3, 3)
-    and v (R, B, 3).
+def gather(H: Array, v: Array, S: Array) -> Information:
+    """Sums over the ANs of H^T S^-1 H, H^T S^-1 v and v^T S^-1 v, from H and S (R, B, 3, 3) and v
+    (R, B, 3).
     """
-    both = np.swapaxes(H, -1, -2) @ np.linalg.solve(S, np.concatenate([H, v[..., None]], axis=-1))
-    both = both.sum(axis=1)
-    return both[..., :3], both[..., 3]
+    solved = np.linalg.solve(S, np.concatenate([H, v[..., None]], axis=-1))
+    both = (np.swapaxes(H, -1, -2) @ solved).sum(axis=1)
+    return Information(both[..., :3], both[..., 3], (v * solved[..., 3]).sum((1, 2)))
 
 
 def expected(x: Array, anchors: Anchors, printed: bool = False) -> tuple[Array, Array]:

@@ -21,24 +21,26 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from aoabench.filters.compiled import kind_of
-from aoabench.filters.roots import absorb, covariance, predicted, prior_root
+from aoabench.filters.divergence import Filtered, InnovationBound
+from aoabench.filters.roots import absorb, covariance, near, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
 from aoabench.params import param
 from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates, Outcome
+from aoabench.types import Anchors, Batch, Estimates
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
     from aoabench.kernels import kalman  # noqa: F401
 
 KERNELS = "kernels.kalman"
 Posterior = tuple[Array, Array]  # mean (R, n) and a square root (R, n, k) of its covariance
+Innovation = tuple[Array, Array, Array, Array]  # B, f, v, r of `roots.absorb`
 
 
 @dataclass(frozen=True)
-class _Kalman(Compiled, Filter):
+class _Kalman(InnovationBound, Compiled, Filter):
     """Recursion of EKF and UKF, with the scenario's motion model and prior."""
 
     measurement: Measurement = param(
@@ -56,30 +58,41 @@ class _Kalman(Compiled, Filter):
             super().prepare(say)
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
-        belief, (Y, quality) = believed(batch, scenario), self.measurement.observe(batch)
+        """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2.
+
+        A fix is DIVERGED, and keeps its position, for one of the reasons of `filters.divergence`.
+        """
+        belief = believed(batch, scenario)
+        with np.errstate(all="ignore"):  # deviations that are 0 or infinite are not measured
+            Y, quality = self.measurement.observe(batch)
+        filtered = self.filtered(batch.anchors, belief, Y, quality)
+        return self.outcomes(filtered, Y, batch.anchors, belief)
+
+    def filtered(self, anchors: Anchors, belief: Belief, Y: Array, quality: Array) -> Filtered:
+        """The recursion over measurements Y (R, T, m) with nominal variances `quality`, in the
+        kernel if it has the measurement model, else in NumPy.
+        """
         belief = belief._replace(covariance=prior_root(belief.covariance))
         table = self.measurement.variances()
-        kind = None if min(quality.min(), table.min()) < self.finest else self.kind()
-        compiled = None if kind is None else self.compiled(batch.anchors)
+        too_fine = self.finest > 0 and min(quality.min(), table.min()) < self.finest
+        kind = None if too_fine else self.kind()
+        compiled = None if kind is None else self.compiled(anchors)
         if kind is None or compiled is None:
-            position, P = self._recursion(batch.anchors, belief, Y, quality)
-        else:
-            position, P = np.empty((*Y.shape[:2], 3)), np.empty((*Y.shape[:2], 3, 3))
-            arrays = (*belief, Y, quality, *batch.anchors.frames, table)
-            given = [np.ascontiguousarray(a, dtype=float) for a in arrays]
-            self._compiled(compiled, kind, (*given, position, P))
-        finite = np.asarray(np.isfinite(position).all(-1) & np.isfinite(P).all((-1, -2)))
-        position = np.where(finite[..., None], position, np.nan)
-        outcome = np.where(finite, Outcome.OK, Outcome.FAILED).astype(np.int8)
-        return Estimates(position, P, None, outcome)
+            return self._recursion(anchors, belief, Y, quality)
+        R, T = Y.shape[:2]
+        out = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T))
+        arrays = (*belief, Y, quality, *anchors.frames, table)
+        given = [np.ascontiguousarray(a, dtype=float) for a in arrays]
+        self._compiled(compiled, kind, (*given, *out))
+        return Filtered(*out)
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by component."""
         seen: list[Array] = []
         belief = believed(batch, scenario)
         belief = belief._replace(covariance=prior_root(belief.covariance))
-        self._recursion(batch.anchors, belief, *self.measurement.observe(batch), seen)
+        with np.errstate(all="ignore"):
+            self._recursion(batch.anchors, belief, *self.measurement.observe(batch), seen)
         return innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
 
     def _recursion(
@@ -89,31 +102,39 @@ class _Kalman(Compiled, Filter):
         Y: Array,
         quality: Array,
         seen: list[Array] | None = None,
-    ) -> tuple[Array, Array]:
-        """Means (R, T, 3) m and covariances (R, T, 3, 3) m^2 in NumPy, for any measurement model.
+    ) -> Filtered:
+        """The recursion in NumPy, for any measurement model.
 
         Innovations (R, m) are appended to `seen`. The covariance of `belief` is a square root.
         """
         h, F = self.measurement, belief.F
         x = np.asarray(belief.mean)
         B = np.broadcast_to(belief.covariance, (*x.shape, x.shape[-1]))
-        means, covariances = [], []
+        means, covariances, nis = [], [], []
         with np.errstate(all="ignore"):  # overflow becomes NaN and is counted as failed
             for k in range(Y.shape[1]):
                 here = anchors.at(k)
                 x, L = x @ F.T, predicted(B, F, belief.Q)
                 if seen is not None:
                     seen.append(h.residual(Y[:, k], h.predict(x, here)))
-                x, B = self.update(x, L, Y[:, k], quality[:, k], here)
+                x, B, squared = absorb(x, *self.innovation(x, L, Y[:, k], quality[:, k], here))
                 means.append(x[:, :3])
                 covariances.append(covariance(B[:, :3]))
-        return np.stack(means, axis=1), np.stack(covariances, axis=1)
+                nis.append(squared)
+        return Filtered(*(np.stack(each, axis=1) for each in (means, covariances, nis)))
 
     def update(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
-        """Posterior mean (R, n) and a square root (R, n, k) of its covariance.
+        """Posterior mean (R, n) and a square root (R, n, k) of its covariance; arguments as for
+        `innovation`.
+        """
+        return absorb(x, *self.innovation(x, L, y, r, anchors))[:2]
+
+    def innovation(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Innovation:
+        """B (R, n, k), f (R, k, m), v (R, m) and variances (R, m) with the state x + B z,
+        z ~ N(0, I), and v = f^T z + e.
 
         Arguments: the prior's mean x (R, n) and lower Cholesky factor L (R, n, n), measurements y
-        (R, m) and their variances r (R, m).
+        (R, m) and their nominal variances r (R, m).
         """
         raise NotImplementedError
 
@@ -122,13 +143,17 @@ class _Kalman(Compiled, Filter):
         return None
 
     def _compiled(self, kernels: ModuleType, kind: int, arrays: Sequence[Array]) -> None:
-        """Fill the last two `arrays`, means (R, T, 3) m and covariances (R, T, 3, 3) m^2."""
+        """Fill the last three `arrays`, which `Filtered` describes."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class EKF(_Kalman):
-    """Extended Kalman filter: h linearised at the predicted mean [Nurminen 2018, Alg. 2]."""
+    """Extended Kalman filter: h linearised at the predicted mean [Nurminen 2018, Alg. 2].
+
+    An anchor on the predicted mean, or nearer than 0.001 of its standard deviation, has no
+    meaningful derivative and is left out at that step.
+    """
 
     def kind(self) -> int | None:
         return kind_of(self.measurement, self.engine) if type(self) is EKF else None
@@ -136,11 +161,14 @@ class EKF(_Kalman):
     def _compiled(self, kernels: ModuleType, kind: int, arrays: Sequence[Array]) -> None:
         kernels.ekf(kind, *arrays)
 
-    def update(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
+    def innovation(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Innovation:
         h = self.measurement
         f = np.swapaxes(h.jacobian(x, anchors) @ L, -1, -2)
         v = h.residual(y, h.predict(x, anchors))
-        return absorb(x, L, f, v, h.covariance(x, anchors, r))
+        skipped = near(x, L, anchors)
+        if skipped.any():
+            v = np.where(np.repeat(skipped, v.shape[1] // anchors.count, axis=1), np.nan, v)
+        return L, f, v, h.covariance(x, anchors, r)
 
 
 @dataclass(frozen=True)
@@ -168,7 +196,7 @@ class UKF(_Kalman):
         form = ("averaged", "centre").index(self.form)
         kernels.ukf(kind, *arrays, float(self.lambda_), form)
 
-    def update(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
+    def innovation(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Innovation:
         if self.form == "augmented":
             return self._augmented(x, L, y, r, anchors)
         h = self.measurement
@@ -184,10 +212,10 @@ class UKF(_Kalman):
             )
         B = np.swapaxes(np.sqrt(w)[:, None] * (points - x[:, None]), -1, -2)  # (R, n, S)
         f = np.sqrt(w)[:, None] * (deviation - mean[:, None])  # (R, S, m)
-        return absorb(x, B, f, h.residual(y, images[:, 0] + mean), R)
+        return B, f, h.residual(y, images[:, 0] + mean), R
 
-    def _augmented(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
-        """Update from sigma points of (x, e), e ~ N(0, I) in m dimensions, mapped to
+    def _augmented(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Innovation:
+        """The innovation from sigma points of (x, e), e ~ N(0, I) in m dimensions, mapped to
         h(x) + sigma(x) e.
         """
         h, (n, m) = self.measurement, (x.shape[-1], y.shape[-1])
@@ -206,7 +234,7 @@ class UKF(_Kalman):
         B = np.swapaxes(np.sqrt(w)[:, None] * (state - x[:, None]), -1, -2)
         f = np.sqrt(w)[:, None] * (deviation - mean[:, None])
         v = h.residual(y, images[:, 0] + mean)
-        return absorb(x, B, f, v, np.zeros_like(v))  # the noise is in f
+        return B, f, v, np.zeros_like(v)  # the noise is in f
 
 
 def sigma_points(x: Array, L: Array, lambda_: float) -> tuple[Array, Array]:

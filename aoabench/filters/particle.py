@@ -24,14 +24,16 @@ import numpy as np
 
 from aoabench.errors import BadValue
 from aoabench.filters.compiled import kind_of
+from aoabench.filters.divergence import SINGULAR, ExtentBound, marked, sound
 from aoabench.filters.particle_inputs import KernelDraws, shared_normals, terms, weights_table
 from aoabench.filters.trace import innovations
+from aoabench.kernels.limits import ONE_PARTICLE
 from aoabench.kernels.loading import Compiled, engine_param, load
 from aoabench.maths.geometry import Array
 from aoabench.params import param
 from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import PARTICLES, Streams
-from aoabench.types import Anchors, Batch, Estimates, Outcome
+from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
 
 if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
     from aoabench.kernels import particle  # noqa: F401
@@ -74,7 +76,7 @@ class Posterior(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ParticleFilter(Compiled, Filter):
+class ParticleFilter(ExtentBound, Compiled, Filter):
     """A bootstrap particle filter with systematic resampling.
 
     Every draw depends on the replication alone, never on the weights, so all particle filters of
@@ -106,13 +108,19 @@ class ParticleFilter(Compiled, Filter):
         """Posterior means (R, T, 3) m and covariances (R, T, 3, 3) m^2.
 
         If the likelihood of a step is 0 or NaN at every particle, the particles keep their weights
-        and the outcome of the fix is DIVERGED.
+        and the fix is DIVERGED with the reason NO_LIKELIHOOD. TOO_FAR and COVARIANCE are the other
+        reasons; a covariance is degenerate if one particle has all the weight, or if particles lie
+        in a plane to within single precision. Innovations are not judged: no covariance of the
+        expected measurement describes a cloud of particles that a curved likelihood bends.
         """
-        found = self._each(batch, believed(batch, scenario), streams)
-        position = np.stack([one.mean for one in found])
-        outcome = np.stack([one.outcome for one in found])
-        outcome[~np.isfinite(position).all(-1)] = Outcome.FAILED
-        return Estimates(position, np.stack([one.covariance for one in found]), None, outcome)
+        belief = believed(batch, scenario)
+        each = self._each(batch, belief, streams)
+        found = sound(*(np.stack([one[i] for one in each]) for i in range(2)))
+        informed = np.stack([one.outcome for one in each]) == Outcome.OK
+        found = marked(found, ~informed, Reason.NO_LIKELIHOOD)
+        alone = np.stack([one.effective for one in each]) < ONE_PARTICLE
+        judged = self.judged(found, batch.anchors, belief, SINGULAR)
+        return marked(judged, alone, Reason.COVARIANCE)
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Effective numbers of particles `ess` (R, T) and innovations (R, T) at the predicted mean,
@@ -130,6 +138,7 @@ class ParticleFilter(Compiled, Filter):
             columns |= innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
         return columns
 
+    @np.errstate(all="ignore")  # what is not finite is counted as failed
     def _each(self, batch: Batch, belief: Belief, streams: Streams) -> list[Posterior]:
         """The posterior of each replication."""
         Y, quality = self.measurement.observe(batch)

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from aoabench.kernels.limits import NEAREST, ROUNDED
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import cholesky
+from aoabench.types import Anchors
 
 EPS = float(np.finfo(float).eps)
 INDEFINITE = -1e-9  # eigenvalue of a correlation matrix below which it is not rounding error
@@ -49,24 +51,40 @@ def predicted(B: Array, F: Array, Q: Array) -> Array:
     return cholesky(P)
 
 
-def absorb(x: Array, B: Array, f: Array, v: Array, r: Array) -> tuple[Array, Array]:
-    """Mean (R, n) and factor (R, n, k) of x + B z, z ~ N(0, I), given v = f^T z + e, e ~ N(0, r).
+def absorb(x: Array, B: Array, f: Array, v: Array, r: Array) -> tuple[Array, Array, Array]:
+    """Mean (R, n) and factor (R, n, k) of x + B z, z ~ N(0, I), given v = f^T z + e, e ~ N(0, r),
+    and the normalised innovation squared (R,).
 
     x (R, n) and B (R, n, k) are mean and factor before the m measurements v; f (R, k, m), v and r
     (R, m), r >= 0; a measurement whose v is NaN is left out. The measurements are processed one
     after the other in Potter's form: with s = r + f^T f, x += B f v / s and
     B -= B f f^T / (s + sqrt(r s)). Each step also replaces v and f of the later measurements by
-    their innovations and derivatives at the new x and B.
+    their innovations and derivatives at the new x and B, so that the sum of v^2 / s is
+    v^T (diag(r) + f^T f)^-1 v. It is returned without ROUNDED times the sum of v^2 / r.
     """
     m, missing = v.shape[1], np.isnan(v)
     f, r = np.where(missing[:, None], 0.0, f), np.where(missing, 1.0, r).T
     t = np.concatenate([np.where(missing, 0.0, -v), x], axis=1)
     E = np.concatenate([np.swapaxes(f, -1, -2), B], axis=1)
     t, E = np.ascontiguousarray(t.T), np.ascontiguousarray(E.transpose(1, 2, 0))  # fastest layout
+    nominal = np.where(r > 0, r, np.inf)  # a component without an error of its own rounds nothing
+    rounded, S = ROUNDED * (t[:m] ** 2 / nominal).sum(0), np.empty_like(r)
     for j in range(m):
         g, rest = E[j], slice(j + 1, None)
-        s = r[j] + (g * g).sum(0)
+        S[j] = s = r[j] + (g * g).sum(0)
         w = np.einsum("ikr,kr->ir", E[rest], g)
         t[rest] -= w * (t[j] / s)
         E[rest] -= w[:, None] * (g / (s + np.sqrt(r[j] * s)))
-    return t[m:].T, E[m:].transpose(2, 0, 1)
+    return t[m:].T, E[m:].transpose(2, 0, 1), (t[:m] ** 2 / S).sum(0) - rounded
+
+
+def near(x: Array, B: Array, anchors: Anchors) -> np.ndarray:
+    """Whether an EKF skips an anchor (R, B): it is too near to the predicted position for a
+    derivative of its direction.
+
+    x (R, n) and B (R, n, k) are the predicted mean and a factor of its covariance; anchors are
+    those of one step. The distance is below NEAREST times the standard deviation of the position.
+    """
+    apart, root = x[:, None, :3] - anchors.frames[0], B[:, :3]
+    variance = np.einsum("rik,rik->r", root, root)
+    return np.asarray(np.einsum("rbi,rbi->rb", apart, apart) < NEAREST**2 * variance[:, None])

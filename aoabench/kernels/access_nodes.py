@@ -15,12 +15,14 @@ from numba import types
 
 from aoabench.kernels.angles import angle, wrapped
 from aoabench.kernels.compile import ORDERED, given, inlined_ordered, kernel
+from aoabench.kernels.limits import ROUNDED
 from aoabench.kernels.square_root import (
     absorb,
     cholesky,
     columns,
     conclude,
     predict,
+    reach,
     store,
     turned,
     update,
@@ -30,8 +32,10 @@ TILE = 8
 
 RHO2_FLOOR = 1e-12  # m^2, as in access_nodes
 # First rows of w: X position, S AN's position, Y measurements, V their variances, A sums A and g,
-# A2 the same sums of the times alone, L factor of the position's covariance, T and Z of an update
-X, S, Y, V, A, A2, L, T, Z, ROWS = 0, 3, 6, 9, 12, 21, 30, 36, 45, 48
+# A2 the same sums of the times alone, L factor of the position's covariance, T and Z of an update,
+# N the sum of squared innovations, D the square of the distance below which an AN is skipped
+X, S, Y, V, A, A2, L, T, Z, N, D, ROWS = 0, 3, 6, 9, 12, 21, 30, 36, 45, 48, 49, 50
+SURE = 1.0 - ROUNDED
 
 
 @inlined_ordered
@@ -52,6 +56,12 @@ def measured(y, d, q, h):
     if math.isnan(y):
         return 0.0, 1.0, (0.0, 0.0, 0.0)
     return d, q, h
+
+
+@inlined_ordered
+def hidden(near, y):
+    """NaN if `near`, else y."""
+    return math.nan if near else y
 
 
 @inlined_ordered
@@ -88,12 +98,15 @@ def observe(w, R, c, turn, jacobian, unwrapped, linked, first):
     The terms of the AN's time are added to the rows of w from `first` on. R (3, 3) is its rotation,
     c (3,) m^2 are the variances of its position. `linked` is 0 if the covariances of time and
     angles are left out, else 1. The components are decorrelated one after the other, and each is
-    weighted by the inverse of its remaining variance.
+    weighted by the inverse of its remaining variance. An AN that is too near is left out.
     """
     M = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
     C = c[0], c[1], c[2]
     for r in range(TILE):
         x, y, z = w[X, r] - w[S, r], w[X + 1, r] - w[S + 1, r], w[X + 2, r] - w[S + 2, r]
+        near = x * x + y * y + z * z < w[D, r]
+        yd, ya, ye = w[Y, r], w[Y + 1, r], w[Y + 2, r]
+        yd, ya, ye = hidden(near, yd), hidden(near, ya), hidden(near, ye)
         h, hd, ha, he = expected(
             M[0] * x + M[1] * y + M[2] * z,
             M[3] * x + M[4] * y + M[5] * z,
@@ -102,9 +115,9 @@ def observe(w, R, c, turn, jacobian, unwrapped, linked, first):
         )
         d, a, e = w[Y, r] - h[0], w[Y + 1, r] - h[1], w[Y + 2, r] - h[2]
         a = wrapped(w[Y + 1, r] + turn) - wrapped(h[1] + turn) if unwrapped else wrapped(a)
-        d, sd, hd = measured(w[Y, r], d, w[V, r], turned(hd, M))
-        a, sa, ha = measured(w[Y + 1, r], a, w[V + 1, r], turned(ha, M))
-        e, se, he = measured(w[Y + 2, r], e, w[V + 2, r], turned(he, M))
+        d, sd, hd = measured(yd, d, w[V, r], turned(hd, M))
+        a, sa, ha = measured(ya, a, w[V + 1, r], turned(ha, M))
+        e, se, he = measured(ye, e, w[V + 2, r], turned(he, M))
         sd, sa, se = sd + product(hd, C, hd), sa + product(ha, C, ha), se + product(he, C, he)
         ad, ed, ea = linked * product(ha, C, hd), linked * product(he, C, hd), product(he, C, ha)
         i = 1.0 / sd
@@ -117,7 +130,9 @@ def observe(w, R, c, turn, jacobian, unwrapped, linked, first):
         e, he = less(f, e, he, a, ha)
         add(w, first, r, i, d, hd)
         add(w, A, r, j, a, ha)
-        add(w, A, r, 1.0 / (se - f * ea), e, he)
+        q = 1.0 / (se - f * ea)
+        add(w, A, r, q, e, he)
+        w[N, r] += SURE * (i * d * d + j * a * a + q * e * e)
 
 
 @inlined_ordered
@@ -126,9 +141,12 @@ def common(w, a, C):
 
     C (3,) m^2 are the variances of this error. A and g are the rows of w from a on. With A = c c^T,
     g = c u and sqrt(C) c = f, the results are c M M^T c^T and c M M^T u, where M is the root of
-    (I + f^T f)^-1.
+    (I + f^T f)^-1. The sum N of squared innovations is reduced by g^T C (I + A C)^-1 g.
     """
     s0, s1, s2 = math.sqrt(C[0]), math.sqrt(C[1]), math.sqrt(C[2])
+    for i in range(3):  # the rows of T are free until the update
+        for r in range(TILE):
+            w[T + i, r] = C[i] * w[a + 6 + i, r]
     for r in range(TILE):
         c0, u0, c1, u1, c2, u2 = columns(w, a, r)
         M, z = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
@@ -144,13 +162,15 @@ def common(w, a, C):
         add(w, a, r, 1.0, u[0], (x[0], y[0], z[0]))
         add(w, a, r, 1.0, u[1], (x[1], y[1], z[1]))
         add(w, a, r, 1.0, u[2], (x[2], y[2], z[2]))
+    for r in range(TILE):
+        w[N, r] -= w[T, r] * w[a + 6, r] + w[T + 1, r] * w[a + 7, r] + w[T + 2, r] * w[a + 8, r]
 
 
 @kernel(
     types.void(
         *(given(d) for d in (2, 2, 2, 2, 4, 4)), given(2, types.int64),
         *(given(d) for d in (3, 3, 2)), *[types.boolean] * 4,
-        types.float64[:, :, ::1], types.float64[:, :, :, ::1],
+        types.float64[:, :, ::1], types.float64[:, :, :, ::1], types.float64[:, ::1],
     ),
     ORDERED,
 )  # fmt: skip
@@ -171,9 +191,10 @@ def ekf(
     apart,
     means,
     covariances,
+    nis,
 ):
-    """EKF means (R, T, 3) m and covariances (R, T, 3, 3) m^2 of R <= TILE replications, into the
-    last two arguments.
+    """EKF means (R, T, 3) m, covariances (R, T, 3, 3) m^2 and normalised innovations squared (R, T)
+    of R <= TILE replications, into the last three arguments.
 
     y, q (R, T, K, 3): measurements and their variances; x0 (R, n), root0, F, Q (n, n): prior mean,
     lower factor of the prior covariance, motion model; heard (T, K): numbers of the ANs at each
@@ -194,9 +215,12 @@ def ekf(
     for k in range(steps):
         predict(TILE, x, root, F, Q, P, FR, Fx)
         cholesky(TILE, P, root)
+        reach(TILE, P, w[D])
         for i in range(A, L):
             for r in range(TILE):
                 w[i, r] = 0.0
+        for r in range(TILE):
+            w[N, r] = 0.0
         for i in range(3):
             for r in range(TILE):
                 w[X + i, r] = x[i, r]
@@ -227,17 +251,19 @@ def ekf(
             for j in range(i + 1):
                 for r in range(TILE):
                     w[L + i * (i + 1) // 2 + j, r] = root[i, j, r]
-        update(TILE, w, A, L, T, Z)
+        update(TILE, w, A, L, T, Z, N)
         conclude(TILE, x, root, w, T, Z)
-        store(TILE, x, root, 0, k, means, covariances)
+        store(TILE, x, root, w[N], 0, k, means, covariances, nis)
 
 
 def run(mean, root, F, Q, y, q, heard, anchors, C, flags):
-    """Positions (R, T, 3) m and covariances (R, T, 3, 3) m^2, computed tile by tile."""
+    """Positions (R, T, 3) m, covariances (R, T, 3, 3) m^2 and normalised innovations squared
+    (R, T), computed tile by tile.
+    """
     R, T = y.shape[:2]
     places, rotation = anchors.frames
     places = np.broadcast_to(places, (R, *places.shape[1:]))
-    position, covariance = np.empty((R, T, 3)), np.empty((R, T, 3, 3))
+    position, covariance, nis = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T))
     # replications of a tile share rotations and stated deviations; if these differ, it has only one
     size = TILE if len(rotation) == len(C) == 1 else 1
     for start in range(0, R, size):
@@ -245,5 +271,6 @@ def run(mean, root, F, Q, y, q, heard, anchors, C, flags):
         turned, known = (a[start if len(a) > 1 else 0] for a in (rotation, C))
         first = [np.ascontiguousarray(a, dtype=float) for a in (mean[of], root, F, Q, y[of], q[of])]
         more = [np.ascontiguousarray(a, dtype=float) for a in (places[of], turned, known)]
-        ekf(*first, np.ascontiguousarray(heard), *more, *flags, position[of], covariance[of])
-    return position, covariance
+        out = position[of], covariance[of], nis[of]
+        ekf(*first, np.ascontiguousarray(heard), *more, *flags, *out)
+    return position, covariance, nis

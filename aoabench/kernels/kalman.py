@@ -1,8 +1,8 @@
 """Kalman filter kernels: EKF and UKF in double precision, vectorised over replications.
 
 The arithmetic of `filters/kalman.py`, written out for states whose first three components are the
-position and for the measurement models of `kernels/small.py`. Both filters carry a square root of
-the covariance. A measurement's information on the position is summed component by component, as
+position and for the measurement models of `kernels/directions.py`. Both filters carry a square root
+of the covariance. A measurement's information on the position is summed component by component, as
 A (3, 3) and g (3,); these amount to three scalar measurements, which shrink the square root.
 
 Arrays have one more axis than in the textbook, the last: `TILE` replications. Each innermost loop
@@ -16,101 +16,26 @@ import math
 import numpy as np
 from numba import types
 
-from aoabench.kernels.angles import angle, wrapped
 from aoabench.kernels.compile import ORDERED, given, inlined_ordered, kernel
-from aoabench.kernels.small import AZEL_ADAPTIVE, UNIT_VECTOR
-from aoabench.kernels.square_root import cholesky, conclude, predict, store, update
+from aoabench.kernels.directions import (
+    TILE,
+    deviation,
+    direction,
+    hide,
+    innovation,
+    seen_from,
+    slopes,
+    squared_length,
+    variance,
+    weigh,
+)
+from aoabench.kernels.small import AZEL_ADAPTIVE
+from aoabench.kernels.square_root import cholesky, conclude, predict, reach, store, update
 
-TILE = 64
 AVERAGED, CENTRE = range(2)  # the UKF's variances
 
-DEGREES = 180.0 / math.pi
-RHO2_FLOOR, NEAREST = 1e-12, 1e-12  # m^2, m: as in the measurement models
-# Rows of w: A and g, the position's factor; an update's T and z
-A, G, L, T, Z, ROWS = 0, 6, 9, 15, 24, 27
-
-
-# --- measurement models ---------------------------------------------------------------------------
-
-
-@inlined_ordered
-def seen_from(x, s, R, out):
-    """R (x - s) into out (3, TILE)."""
-    for i in range(3):
-        for r in range(TILE):
-            dx, dy, dz = x[0, r] - s[0, r], x[1, r] - s[1, r], x[2, r] - s[2, r]
-            out[i, r] = R[i, 0, r] * dx + R[i, 1, r] * dy + R[i, 2, r] * dz
-
-
-@inlined_ordered
-def direction(kind, p, out):
-    """Unit vector, or azimuth and elevation, of p (3, TILE) in the anchor's frame, into out."""
-    if kind == UNIT_VECTOR:
-        for r in range(TILE):
-            d = max(math.sqrt(p[0, r] * p[0, r] + p[1, r] * p[1, r] + p[2, r] * p[2, r]), NEAREST)
-            out[0, r], out[1, r], out[2, r] = p[0, r] / d, p[1, r] / d, p[2, r] / d
-    else:
-        for r in range(TILE):
-            u, v, w = p[0, r], p[1, r], p[2, r]
-            rho2 = u * u + v * v
-            rho = math.sqrt(rho2)
-            out[0, r] = angle(v, u, rho)
-            out[1, r] = angle(w, rho, math.sqrt(rho2 + w * w))
-
-
-@inlined_ordered
-def slopes(kind, p, c, R, out):
-    """Derivatives of `direction` by the position, row after row, into out (3, 3, TILE)."""
-    if kind == UNIT_VECTOR:  # (I - c c^T) R / distance
-        for q in range(3):
-            for r in range(TILE):
-                d = max(
-                    math.sqrt(p[0, r] * p[0, r] + p[1, r] * p[1, r] + p[2, r] * p[2, r]), NEAREST
-                )
-                e = c[0, r] * R[0, q, r] + c[1, r] * R[1, q, r] + c[2, r] * R[2, q, r]
-                out[0, q, r] = (R[0, q, r] - c[0, r] * e) / d
-                out[1, q, r] = (R[1, q, r] - c[1, r] * e) / d
-                out[2, q, r] = (R[2, q, r] - c[2, r] * e) / d
-    else:
-        for q in range(3):
-            for r in range(TILE):
-                u, v, w = p[0, r], p[1, r], p[2, r]
-                rho2 = max(u * u + v * v, RHO2_FLOOR)
-                rho, r2 = math.sqrt(rho2), rho2 + w * w
-                along = u * R[0, q, r] + v * R[1, q, r]
-                out[0, q, r] = (u * R[1, q, r] - v * R[0, q, r]) / rho2
-                out[1, q, r] = (rho * R[2, q, r] - w / rho * along) / r2
-
-
-@inlined_ordered
-def variance(kind, l, elevation, nominal, table, out):
-    """Variances of component l at the expected elevations (TILE,) rad, into out (TILE,)."""
-    if kind == AZEL_ADAPTIVE:
-        for r in range(TILE):
-            degree = np.rint(elevation[r] * DEGREES + 90.0)
-            out[r] = table[int(degree) if 0.0 <= degree <= 180.0 else 90, l]
-    else:
-        for r in range(TILE):
-            out[r] = nominal[r]
-
-
-@inlined_ordered
-def innovation(kind, l, y, expected, var, v, W):
-    """y - expected, wrapped, and 1 / variance; both 0 where y is not measured (NaN)."""
-    for r in range(TILE):
-        d = y[r] - expected[r]
-        if kind != UNIT_VECTOR and l == 0:
-            d = wrapped(d)
-        v[r] = 0.0 if math.isnan(y[r]) else d
-        W[r] = 0.0 if math.isnan(y[r]) else 1.0 / var[r]
-
-
-@inlined_ordered
-def deviation(kind, l, a, b, out):
-    """a - b of component l, wrapped."""
-    for r in range(TILE):
-        d = a[r] - b[r]
-        out[r] = wrapped(d) if kind != UNIT_VECTOR and l == 0 else d
+# Rows of w: A and g, the position's factor; an update's T and z; the sum of squared innovations
+A, G, L, T, Z, N, ROWS = 0, 6, 9, 15, 24, 27, 28
 
 
 # --- linear algebra -------------------------------------------------------------------------------
@@ -151,6 +76,21 @@ def eliminate(M, b):
 
 
 @inlined_ordered
+def remaining(M, b, w):
+    """Rows A, g and L of w for the three unknowns left by `eliminate`, and N without the share of
+    the other four.
+    """
+    for i in range(4):
+        for r in range(TILE):
+            w[N, r] -= M[i, i, r] * b[i, r] * b[i, r]
+    for i in range(3):
+        w[G + i] = b[4 + i]
+        for j in range(i + 1):
+            w[A + i * (i + 1) // 2 + j] = M[4 + i, 4 + j]
+            w[L + i * (i + 1) // 2 + j] = 1.0 if i == j else 0.0
+
+
+@inlined_ordered
 def load(source, start, out):
     """Copy replications start ... of source (R|1, ...) into out (..., TILE); the last one fills up
     the tile.
@@ -186,13 +126,14 @@ ARGUMENTS = (
     *(given(dimensions) for dimensions in (2, 2, 2, 2, 3, 3, 3, 4, 2)),
     types.float64[:, :, ::1],
     types.float64[:, :, :, ::1],
+    types.float64[:, ::1],
 )
 
 
 @kernel(types.void(*ARGUMENTS), ORDERED)
-def ekf(kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, covariances):
-    """EKF of each replication: means (R, T, 3) and covariances (R, T, 3, 3) from measurements Y (R,
-    T, m).
+def ekf(kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, covariances, nis):
+    """EKF of each replication: means (R, T, 3), covariances (R, T, 3, 3) and normalised innovations
+    squared (R, T) from measurements Y (R, T, m).
 
     x0 (R, n), root0, F, Q (n, n), where root0 is a lower factor of the prior's covariance; quality
     (R, T, m) nominal variances; anchors (R|1, B, ...); `table` (181, 2) of variances for
@@ -205,22 +146,27 @@ def ekf(kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, cov
     s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
     local, c, h = np.empty((3, TILE)), np.empty((3, TILE)), np.empty((3, 3, TILE))
     y, nominal, var = np.empty(TILE), np.empty(TILE), np.empty(TILE)
-    v, W = np.empty(TILE), np.empty(TILE)
+    v, W, d2, least = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
     for start in range(0, R, TILE):
         begin(start, x0, root0, position, rotation, x, root, s, rot)
         for k in range(steps):
             predict(TILE, x, root, F, Q, P, FR, Fx)
             cholesky(TILE, P, root)
+            reach(TILE, P, least)
             w[A : G + 3] = 0.0
+            w[N] = 0.0
             for j in range(B):
                 seen_from(x, s[j], rot[j], local)
                 direction(kind, local, c)
                 slopes(kind, local, c, rot[j], h)
+                squared_length(local, d2)
                 for l in range(d):
                     load_step(Y, start, k, d * j + l, y)
+                    hide(d2, least, y)
                     load_step(quality, start, k, d * j + l, nominal)
                     variance(kind, l, c[1], nominal, table, var)
                     innovation(kind, l, y, c[l], var, v, W)
+                    weigh(v, W, w[N])
                     for r in range(TILE):
                         a, b, e = W[r] * h[l, 0, r], W[r] * h[l, 1, r], W[r] * h[l, 2, r]
                         w[A, r] += a * h[l, 0, r]
@@ -235,15 +181,16 @@ def ekf(kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, cov
             for i in range(3):
                 for j in range(i + 1):
                     w[L + i * (i + 1) // 2 + j] = root[i, j]
-            update(TILE, w, A, L, T, Z)
+            update(TILE, w, A, L, T, Z, N)
             conclude(TILE, x, root, w, T, Z)
-            store(TILE, x, root, start, k, means, covariances)
+            store(TILE, x, root, w[N], start, k, means, covariances, nis)
 
 
 @kernel(types.void(*ARGUMENTS, types.float64, types.intp), ORDERED)
 def ukf(
-    kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, covariances, lambda_, form
-):
+    kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, covariances, nis,
+    lambda_, form,
+):  # fmt: skip
     """UKF of each replication with 2 n + 1 sigma points; `form` AVERAGED or CENTRE, the rest as for
     `ekf`.
 
@@ -278,6 +225,7 @@ def ukf(
                         point[1 + l, i, r], point[4 + l, i, r] = x[i, r] + step, x[i, r] - step
             b[:] = 0.0
             M[:] = 0.0
+            w[N] = 0.0
             for i in range(4):
                 M[i, i] = 1.0
             for j in range(B):
@@ -308,6 +256,7 @@ def ukf(
                             p, q = z[i, r], z[3 + i, r]
                             z[i, r], z[3 + i, r] = half * (p + q - 2.0 * mean[r]), half * (p - q)
                     innovation(kind, l, y, expected, var, v, W)
+                    weigh(v, W, w[N])
                     for i in range(7):
                         for r in range(TILE):
                             one[r] = z[i, r] * W[r]
@@ -315,11 +264,7 @@ def ukf(
                         for q in range(i + 1):
                             add(M[i, q], one, z[q])
             eliminate(M, b)
-            for i in range(3):
-                w[G + i] = b[4 + i]
-                for j in range(i + 1):
-                    w[A + i * (i + 1) // 2 + j] = M[4 + i, 4 + j]
-                    w[L + i * (i + 1) // 2 + j] = 1.0 if i == j else 0.0
-            update(TILE, w, A, L, T, Z)
+            remaining(M, b, w)
+            update(TILE, w, A, L, T, Z, N)
             conclude(TILE, x, root, w, T, Z)
-            store(TILE, x, root, start, k, means, covariances)
+            store(TILE, x, root, w[N], start, k, means, covariances, nis)

@@ -19,11 +19,10 @@ import numpy as np
 from numba import carray
 
 from aoabench.kernels.compile import inlined, kernel
+from aoabench.kernels.limits import ONE_PARTICLE
 from aoabench.kernels.particle_likelihood import SCRATCH, loglik_tile, stack
 from aoabench.kernels.philox import TILE, f8, normals, turn, u4, u8
 from aoabench.kernels.single import ZERO, exponential, f4, i4, larger
-
-ONE_PARTICLE = 1.00001  # effective number up to which the covariance is only rounding error
 
 
 @inlined

@@ -3,7 +3,8 @@
 The last axis of every array has the length `tile`, a number of replications that is a constant of
 the kernel. A filter's array `w` holds, in rows that the caller names, the sums A (6, the lower half
 row by row) and after it g (3) of a step's measurements, the lower factor L (6) of the position's
-covariance, and T (9) and z (3) of `update`.
+covariance, T (9) and z (3) of `update`, and the sum N of the squared innovations, each divided by
+its measurement's variance.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 
 from aoabench.kernels.compile import inlined_ordered, spliced
+from aoabench.kernels.limits import NEAREST
 
 EPS = 2.0**-52
 LOST = 32.0 * EPS  # share of a diagonal element; a pivot below it is rounding error
@@ -165,8 +167,12 @@ def absorb(M, z, h, u):
 
 
 @spliced
-def update(tile, w, A, L, T, Z):
-    """T (3, 3) and z (3,) from A, g and L: an update gives x + L z and the factor L T of P_pp."""
+def update(tile, w, A, L, T, Z, N):
+    """T (3, 3) and z (3,) from A, g and L: an update gives x + L z and the factor L T of P_pp.
+
+    N, the sum v^T R^-1 v of the squared innovations, becomes v^T S^-1 v with S = H P H^T + R: it is
+    reduced by g^T L z.
+    """
     for r in range(tile):
         l00, l10, l11 = w[L, r], w[L + 1, r], w[L + 2, r]
         l20, l21, l22 = w[L + 3, r], w[L + 4, r], w[L + 5, r]
@@ -182,6 +188,17 @@ def update(tile, w, A, L, T, Z):
         w[T + 3, r], w[T + 4, r], w[T + 5, r] = M[3], M[4], M[5]
         w[T + 6, r], w[T + 7, r], w[T + 8, r] = M[6], M[7], M[8]
         w[Z, r], w[Z + 1, r], w[Z + 2, r] = z[0], z[1], z[2]
+        explained = w[A + 6, r] * (l00 * z[0]) + w[A + 7, r] * (l10 * z[0] + l11 * z[1])
+        w[N, r] -= explained + w[A + 8, r] * (l20 * z[0] + l21 * z[1] + l22 * z[2])
+
+
+@spliced
+def reach(tile, P, out):
+    """Squares of the distances (tile,) below which an EKF skips an anchor; P is the predicted
+    covariance.
+    """
+    for r in range(tile):
+        out[r] = NEAREST * NEAREST * (P[0, 0, r] + P[1, 1, r] + P[2, 2, r])
 
 
 @spliced
@@ -198,9 +215,12 @@ def conclude(tile, x, root, w, T, Z):
 
 
 @spliced
-def store(tile, x, root, start, k, means, covariances):
-    """Store position and covariance at step k, with an increased diagonal as in `predict`."""
+def store(tile, x, root, squared, start, k, means, covariances, nis):
+    """Store position, covariance and normalised innovation squared at step k; the covariance with
+    an increased diagonal as in `predict`.
+    """
     for r in range(min(tile, len(means) - start)):
+        nis[start + r, k] = squared[r]
         for p in range(3):
             means[start + r, k, p] = x[p, r]
             for q in range(p + 1):

@@ -8,6 +8,8 @@ import numpy as np
 
 from aoabench.maths.geometry import Array
 
+LEAST_VARIANCE = 1e-32  # rad^2: angles themselves are rounded to some 1e-16 rad
+
 
 def interleave(parts: Sequence[Array]) -> Array:
     """Combine d arrays (..., B), one per type of component, into one (..., B d) in anchor order."""
@@ -39,8 +41,11 @@ def over_measured(terms: Array, y: Array, x: Array) -> Array:
 
 
 def with_quality(y: Array, r: Array) -> tuple[Array, Array]:
-    """Values and variances (R, T, m); a value whose variance is NaN or not positive counts as not
-    measured.
+    """Values and variances (R, T, m); a value whose variance is not finite or not positive counts
+    as not measured, and a variance below LEAST_VARIANCE as that.
     """
+    if (np.isfinite(r) & (r >= LEAST_VARIANCE)).all():
+        return y, r
     usable = np.isfinite(r) & (r > 0)
-    return (y, r) if usable.all() else (np.where(usable, y, np.nan), np.where(usable, r, 1.0))
+    r = np.maximum(np.where(usable, r, 1.0), LEAST_VARIANCE)
+    return np.where(usable, y, np.nan), r

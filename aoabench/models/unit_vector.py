@@ -18,6 +18,8 @@ from aoabench.params import param
 from aoabench.roles import Measurement
 from aoabench.types import Anchors, Batch
 
+KAPPA_MOST = 1e15  # larger ones weigh the rounding errors of unit vectors
+
 
 @dataclass(frozen=True)
 class UnitVector(Measurement):
@@ -27,7 +29,7 @@ class UnitVector(Measurement):
         None,
         "concentration; null: by (7) from the measurements' stated deviations",
         above=0,
-        most=1e15,
+        most=KAPPA_MOST,
     )
     kernel = "unit_vector"
 
@@ -37,7 +39,9 @@ class UnitVector(Measurement):
         return frozenset({"elevation"} | ({"stated_sigma"} if self.kappa is None else set()))
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
-        """Unit vectors (R, T, 3B) and their nominal variances 1 / kappa (R, T, 3B)."""
+        """Unit vectors (R, T, 3B) and their nominal variances 1 / kappa (R, T, 3B), kappa at most
+        1e15.
+        """
         u = to_unit(batch.azimuth, batch.elevation)
         u = u.reshape(*u.shape[:2], -1)
         if self.kappa is not None:
@@ -47,9 +51,8 @@ class UnitVector(Measurement):
                 "kappa", None, "a number, because these measurements do not state their deviations"
             )
         else:
-            r = np.repeat(
-                1.0 / kappa_from_sigma(batch.azimuth_sigma, batch.elevation_sigma), 3, axis=-1
-            )
+            kappa = kappa_from_sigma(batch.azimuth_sigma, batch.elevation_sigma)
+            r = np.repeat(np.where(kappa < np.inf, 1.0 / np.minimum(kappa, KAPPA_MOST), 0.0), 3, -1)
         return with_quality(u, r)
 
     def predict(self, x: Array, anchors: Anchors) -> Array:

@@ -200,7 +200,7 @@ def test_tables_follow_the_documented_schemas(reference):
     frame = pd.read_parquet(reference / "replications.parquet")
     assert list(frame.columns) == list(REPLICATIONS)
     assert (frame["n_fixes"] == 64).all()
-    assert (frame["n_ok"] == 64).all()
+    assert (frame["n_ok"] + frame["n_diverged"] == 64).all()
     steps = pd.read_parquet(reference / "steps.parquet")
     assert list(steps.columns) == list(STEPS)
     assert len(steps) == 64 * len(frame)

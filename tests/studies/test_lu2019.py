@@ -56,7 +56,7 @@ for toa in (True, False):
         Counted.n = 0
         K.ekf(counted(np.zeros((1, 9))), counted(np.eye(9)), F, Q, counted(y), counted(np.ones(y.shape)), np.arange(M)[None],
               counted(rng.normal(size=(1, M, 3))), counted(rng.normal(size=(M, 3, 3))), counted(np.ones((M, 3))),
-              False, False, False, False, np.zeros((1, 1, 3)), np.zeros((1, 1, 3, 3)))
+              False, False, False, False, np.zeros((1, 1, 3)), np.zeros((1, 1, 3, 3)), np.zeros((1, 1)))
         print("ekf_toa_aoa" if toa else "ekf_aoa", M, Counted.n)
 """
 

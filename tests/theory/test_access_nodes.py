@@ -108,7 +108,7 @@ def test_update_is_the_textbooks(printed, anchors, rng):
     G = np.concatenate([H, np.zeros((len(H), 6))], axis=1)
     K = np.linalg.solve(G @ P @ G.T + R, G @ P).T
     mean, cov = x[0] + K @ v, P - K @ G @ P
-    A, g = an.information(x[:, :3], y[None], q[None], anchors, C[None], flags)
+    A, g, _ = an.information(x[:, :3], y[None], q[None], anchors, C[None], flags)
     W = np.linalg.solve(np.eye(3) + A[0] @ P[:3, :3], np.column_stack([A[0], g[0]]))
     assert np.allclose(x[0] + P[:, :3] @ W[:, 3], mean, atol=1e-9)
     assert np.allclose(P - P[:, :3] @ W[:, :3] @ P[:3], cov, atol=1e-9)

@@ -17,7 +17,7 @@ from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.motion import ConstantAcceleration, RandomWalk
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
-from aoabench.types import Anchors, Batch, Outcome
+from aoabench.types import Anchors, Batch, Outcome, Reason
 from tests.helpers import Place
 
 ENGINES = ("auto", "numpy")
@@ -43,8 +43,11 @@ def positive(P):
 
 
 def check(estimates):
-    """Every fix is OK, and its covariance symmetric, positive definite and of use to others."""
-    assert np.all(estimates.outcome == Outcome.OK)
+    """Every fix has a position, and its covariance is symmetric, positive definite and of use to
+    others, also where innovations say that linearisation is not as exact as the measurements.
+    """
+    assert not np.any(estimates.outcome == Outcome.FAILED)
+    assert not np.any(estimates.reason == Reason.COVARIANCE)
     P = estimates.covariance.reshape(-1, 3, 3)
     assert np.array_equal(P, np.swapaxes(P, -1, -2))
     assert positive(P).all()

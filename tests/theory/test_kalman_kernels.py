@@ -19,7 +19,6 @@ from tests.theory.assembly import assembly
 from tests.theory.rounding import equal_but_for_rounding, moved_by_rounding
 
 numba = pytest.importorskip("numba")
-K = load("kernels.kalman")
 MODELS = [UnitVector(30.0), AzEl(12.0), AzElAdaptive(12.0, noise=FlippedAngles(12.0))]
 
 
@@ -29,7 +28,7 @@ def test_angles_to_the_last_bits():
         for i in range(len(y)):
             out[i] = K_angle(y[i], x[i], np.sqrt(x[i] * x[i] + y[i] * y[i]))
 
-    K_angle = K.angle
+    K_angle = load("kernels.angles").angle
     rng = np.random.default_rng(1)
     turn = np.concatenate([np.linspace(-np.pi, np.pi, 200_001), np.pi / 4 * np.arange(-4, 5)])
     size = 10 ** rng.uniform(-8, 8, len(turn))

@@ -13,7 +13,7 @@ from aoabench.models.unit_vector import UnitVector
 from aoabench.roles import Scenario
 from aoabench.streams import Streams
 from aoabench.studies import study
-from aoabench.types import Anchors, Batch, Outcome
+from aoabench.types import Anchors, Batch, Outcome, Reason
 from tests.theory.test_kalman import ANCHORS, ConstantVelocity, Line, Linear, exact_kalman
 
 STUDY = study.load("nurminen2018")
@@ -233,7 +233,9 @@ def test_an_anchor_without_a_measurement_is_not_used(h, track):
     streams = Streams(1, "square_track", (0, 1))
     a, b = (ParticleFilter(h, 500)(x, track, streams) for x in (batch, fewer))
     assert np.allclose(a.position, b.position, atol=1e-9)
-    assert np.all(a.outcome == Outcome.OK)
+    assert np.array_equal(a.reason, b.reason)
+    few = a.reason == Reason.COVARIANCE  # two or three of 500 particles have all the weight
+    assert np.all((a.outcome == Outcome.OK) | few)
 
 
 def test_a_step_without_any_measurement_only_moves_the_particles(track):
