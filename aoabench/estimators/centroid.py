@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aoabench.errors import Unfit
-from aoabench.estimators.rays import judged, measured_reason
+from aoabench.estimators.rays import is_deviation, judged, measured_reason
 from aoabench.maths.geometry import LIGHT, Array, to_unit
 from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Scenario
@@ -43,10 +43,12 @@ class WeightedCentroid(Estimator):
         if batch.delay is None or batch.delay_sigma is None:
             raise Unfit(*NEEDS["delay"])
         R, T, B = batch.azimuth.shape
-        usable = (
-            np.isfinite(batch.azimuth) & np.isfinite(batch.elevation) & np.isfinite(batch.delay)
-        )
-        r, k, b = np.nonzero(usable & (batch.delay_sigma > 0))
+        measured = (batch.azimuth, batch.elevation, batch.delay)
+        sigmas = (batch.azimuth_sigma, batch.elevation_sigma, batch.delay_sigma)
+        usable = np.isfinite(batch.azimuth)
+        for value, sigma in zip(measured, sigmas):
+            usable &= np.isfinite(value) & is_deviation(sigma)
+        r, k, b = np.nonzero(usable)
         azimuth = batch.azimuth[r, k, b]
         s, rotation = (
             np.broadcast_to(a, (R, T, *a.shape[2:]))[r, k, b]
@@ -69,35 +71,39 @@ class WeightedCentroid(Estimator):
         outcome, reason = judged(found, back.reshape(R, T), measured_reason(usable, 1))
         P = None
         if batch.azimuth_sigma is not None and batch.elevation_sigma is not None:
-            sigmas = batch.delay_sigma, batch.azimuth_sigma, batch.elevation_sigma
-            C = _spherical((distance, azimuth, elevation), tuple(x[r, k, b] for x in sigmas))
-            C = np.swapaxes(rotation, -1, -2) @ C @ rotation
-            if batch.anchors.position_sigma is not None:
-                own = np.broadcast_to(batch.anchors.position_sigma, (R, T, B, 3))[r, k, b]
-                C[:, range(3), range(3)] += own**2
-            P = _weighted(C, w, fix, total).reshape(R, T, 3, 3)
+            stated = batch.delay_sigma, batch.azimuth_sigma, batch.elevation_sigma
+            given = tuple(x[r, k, b] for x in stated)
+            axes = _axes((distance, azimuth, elevation), given, rotation)
+            own = batch.anchors.position_sigma
+            own = None if own is None else np.broadcast_to(own, (R, T, B, 3))[r, k, b].T
+            P = _weighted(axes, own, w, fix, total).reshape(R, T, 3, 3)
         used, position = usable.sum(-1).astype(float), position.reshape(R, T, 3)
         return Estimates(position, P, None, outcome, None, used, reason)
 
 
-def _spherical(at: tuple[Array, ...], sigmas: tuple[Array, ...]) -> Array:
-    """Covariances (N, 3, 3) m^2 of points at distance m, azimuth and elevation rad (N,), from
-    independent deviations of delay s, azimuth and elevation rad.
+def _axes(at: tuple[Array, ...], sigmas: tuple[Array, ...], rotation: Array) -> Array:
+    """Errors (3, 3, N) m, in x, y and z, of points at distance m, azimuth and elevation rad (N,) in
+    frames `rotation` (N, 3, 3): one deviation of the delay s, azimuth or elevation rad each.
     """
     r, (ca, sa, ce, se) = at[0], (f(angle) for angle in at[1:] for f in (np.cos, np.sin))
-    axes = [(ce * ca, ce * sa, se), (-sa, ca, np.zeros_like(ca)), (-se * ca, -se * sa, ce)]
+    x, y, z = np.moveaxis(rotation, 0, -1)  # the frames' axes, (3, N) each
+    out, left = ca * x + sa * y, ca * y - sa * x
     scale = LIGHT * sigmas[0], sigmas[1] * r * ce, sigmas[2] * r
-    J = np.stack([s[:, None] * np.stack(u, axis=-1) for s, u in zip(scale, axes)], axis=-1)
-    return np.asarray(J @ np.swapaxes(J, -1, -2))
+    units = ce * out + se * z, left, ce * z - se * out
+    return np.stack([s * u for s, u in zip(scale, units)])
 
 
-def _weighted(C: Array, w: Array, fix: np.ndarray, total: Array) -> Array:
-    """Covariances (F, 3, 3) m^2 of weighted means from those (N, 3, 3) of the points, their weights
-    and numbers of fixes (N,), and the fixes' sums of weights (F,).
+def _weighted(axes: Array, own: Array | None, w: Array, fix: np.ndarray, total: Array) -> Array:
+    """Covariances (F, 3, 3) m^2 of weighted means, from independent errors (3, 3, N) m of the
+    points, deviations (3, N) m of the ANs' positions, weights and numbers of fixes (N,), and the
+    fixes' sums of weights (F,).
     """
-    found = np.empty((len(total), 3, 3))
+    found, squared = np.empty((len(total), 3, 3)), w * w
     for i in range(3):
         for j in range(i + 1):
-            found[:, i, j] = found[:, j, i] = np.bincount(fix, w**2 * C[:, i, j], len(total))
+            each = axes[0, i] * axes[0, j] + axes[1, i] * axes[1, j] + axes[2, i] * axes[2, j]
+            if i == j and own is not None:
+                each += own[i] ** 2
+            found[:, i, j] = found[:, j, i] = np.bincount(fix, squared * each, len(total))
     with np.errstate(invalid="ignore"):
         return found / (total**2)[:, None, None]

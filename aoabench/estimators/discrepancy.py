@@ -21,6 +21,7 @@ from aoabench.errors import BadValue, check_number
 from aoabench.estimators import ellipses
 from aoabench.estimators.parameters import clip_param, height_param, horizon_param
 from aoabench.estimators.plane import clipped, plane_of
+from aoabench.estimators.rays import POLE
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array, to_unit
 from aoabench.params import param
@@ -191,6 +192,8 @@ class Discrepancy(Compiled, Estimator):
         azimuth, elevation = (np.where(missing, 0.0, a) for a in (azimuth, elevation))
         ahead = (to_unit(azimuth, elevation)[..., None, :] @ anchors.rotation[0])[..., 0, :]
         s = np.broadcast_to(anchors.position[0], ahead.shape)
+        away = ahead[..., 2] * np.sign(height - s[..., 2]) < 0  # a ray straight away has no azimuth
+        missing |= away & (np.hypot(ahead[..., 0], ahead[..., 1]) < POLE)
         m, L = self.ellipses_of(np.where(missing, np.nan, azimuth), elevation, anchors, height)
         for k in range(len(m)):
             known = np.flatnonzero(~missing[k])

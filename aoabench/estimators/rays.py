@@ -50,8 +50,8 @@ def rays(batch: Batch) -> Rays:
     """The measured rays of a batch; an angle whose stated deviation is not a positive number counts
     as not measured.
     """
-    azimuth = np.isfinite(batch.azimuth) & _usable(batch.azimuth_sigma)
-    elevation = np.isfinite(batch.elevation) & _usable(batch.elevation_sigma)
+    azimuth = np.isfinite(batch.azimuth) & is_deviation(batch.azimuth_sigma)
+    elevation = np.isfinite(batch.elevation) & is_deviation(batch.elevation_sigma)
     phi = np.where(azimuth, batch.azimuth, 0.0)
     plane = azimuth & ~elevation
     u = to_unit(phi, np.where(azimuth & elevation, batch.elevation, 0.0))
@@ -63,7 +63,7 @@ def rays(batch: Batch) -> Rays:
     return Rays(ahead, azimuth & elevation, plane, normal)
 
 
-def _usable(sigma: Array | None) -> np.ndarray | bool:
+def is_deviation(sigma: Array | None) -> np.ndarray | bool:
     """Where a stated deviation is finite and above 0; True without one."""
     if sigma is None:
         return True

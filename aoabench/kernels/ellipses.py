@@ -22,6 +22,7 @@ UNKNOWN, SAME = -2, -1  # in place of a number of crossings: not yet computed; e
 
 TOUCH = 1e-9  # tolerance for rounding of a level of 1, as in estimators/ellipses.py
 CLOSE, TINY = 1e-7, 1e-140
+POLE = 1e-6  # as in estimators.rays
 
 
 @inlined
@@ -59,6 +60,7 @@ def project(centre, azimuth, elevation, s, R, to_plane, least, sines, minimum, e
         e[AX, k], e[AY, k], e[AC, k] = u, v, w * to_plane - u * s[0] - v * s[1]
         lowest = least * math.sqrt(u * u + v * v)
         low = side * w < lowest
+        away = (side * w < 0.0) & (u * u + v * v < POLE * POLE)  # straight away: no azimuth
         w = side * lowest
         lx = R[0, 0] * u + R[0, 1] * v + R[0, 2] * w
         ly = R[1, 0] * u + R[1, 1] * v + R[1, 2] * w
@@ -89,7 +91,7 @@ def project(centre, azimuth, elevation, s, R, to_plane, least, sines, minimum, e
         nx, ny = on_plane(ca * x + sa * y, ca * y - sa * x, z, R, h, side, least)
         dx, dy = fx - nx, fy - ny
         a, b = max(0.5 * length, minimum), max(0.5 * math.sqrt(dx * dx + dy * dy), minimum)
-        e[MX, k], e[MY, k] = s[0] + mx, s[1] + my
+        e[MX, k], e[MY, k] = math.nan if away else s[0] + mx, s[1] + my
         e[UX, k], e[UY, k], e[A, k], e[B, k] = ux, uy, a, b
         e[HX, k] = math.sqrt(a * a * ux * ux + b * b * uy * uy)
         e[HY, k] = math.sqrt(a * a * uy * uy + b * b * ux * ux)

@@ -23,11 +23,14 @@ from scipy.optimize import least_squares
 
 from aoabench.config.compose import compose_cells
 from aoabench.estimators.rays import directions
-from aoabench.maths.geometry import euler, to_azel
+from aoabench.maths.geometry import LIGHT, euler, to_azel
+from aoabench.streams import Streams
 from aoabench.types import SENTENCES, Anchors, Batch, Outcome, Reason
+from tests.contracts.test_presets import setting
 from tests.helpers import Place
 
 FOLDER = Path(__file__).parents[1] / "corpus" / "geometry"
+PRESETS = Path(__file__).parents[2] / "configs"
 CASES = {
     f"{file.stem}-{case['name']}": case
     for file in sorted(FOLDER.glob("*.yaml"))
@@ -183,3 +186,62 @@ def test_typed_positions_are_the_best_fits(key):
 def test_the_corpus_is_large_enough_and_names_are_different():
     assert len(CASES) >= 60
     assert sum(len(yaml.safe_load(f.read_text())) for f in FOLDER.glob("*.yaml")) == len(CASES)
+
+
+EVERY = [(group, file.stem) for group in ("estimator", "filter") for file in sorted(PRESETS.glob(f"{group}/*.yaml"))]  # fmt: skip
+
+
+def everything_measured(case, states):
+    """The case's batch with delays, strengths, deviations and a prior about the anchors' centre."""
+    batch = batch_of(case)
+    s = batch.anchors.position[0, 0]
+    size = max(np.ptp(s, axis=0).max(), 1.0)
+    truth = np.array(case.get("truth", s.mean(axis=0) + [0.3 * size, 0.2 * size, -1.0]))
+    known = np.isfinite(batch.azimuth)
+    delay = np.where(known, np.linalg.norm(truth - s, axis=-1) / LIGHT, np.nan)
+    sigma = np.full_like(batch.azimuth, np.radians(2.0))
+    mean = np.zeros((1, states))
+    mean[0, :3] = s.mean(axis=0) + [0.1 * size, -0.2 * size, -0.5]
+    return truth[None, None], replace(
+        batch,
+        anchors=replace(batch.anchors, position_sigma=np.full_like(batch.anchors.position, 0.1)),
+        delay=delay,
+        delay_sigma=np.full_like(delay, 1e-8),
+        rssi=np.where(known, -60.0 - np.arange(len(s)), np.nan),
+        azimuth_sigma=sigma if batch.azimuth_sigma is None else batch.azimuth_sigma,
+        elevation_sigma=sigma if batch.elevation_sigma is None else batch.elevation_sigma,
+        prior_mean=mean,
+        prior_cov=np.diag([size**2] * 3 + [1.0] * (states - 3)),
+    )
+
+
+@pytest.mark.parametrize(("group", "name"), EVERY)
+def test_every_preset_says_what_happened_in_every_geometry(group, name):
+    """A position that is finite or a failure, a reason if and only if the outcome is not ok, and
+    the same from both engines; the height is 2 m below the anchors where the case has none.
+    """
+    cell = compose_cells([*setting(name, "vmf"), f"{group}=[{name}]"])[0]
+    estimator, motion = cell.estimators[name], cell.scenario.motion
+    names = {f.name for f in fields(estimator)}
+    if "particles" in names:
+        estimator = replace(estimator, particles=500)
+    for key, case in CASES.items():
+        truth, batch = everything_measured(
+            case, 3 if motion is None else len(motion.matrices(1)[0])
+        )
+        height = case.get("height_m", batch.anchors.position[..., 2].min() - 2.0)
+        scenario = Place(batch.anchors, height, motion=motion)
+        found = []
+        for engine in engines(estimator):
+            one = replace(estimator, engine=engine) if "engine" in names else estimator
+            if "anchor" in names and one.anchor > batch.anchors.count:
+                continue
+            more = (truth,) if "truth" in one.needs else ()
+            found.append(one(batch, scenario, Streams(1, "place", (0,)), *more))
+        for e in found:
+            outcome, reason = e.outcome[0, 0], e.reason[0, 0]
+            assert (outcome == Outcome.OK) == (reason == Reason.NONE), key
+            lost = outcome in (Outcome.FAILED, Outcome.REJECTED)
+            assert np.isfinite(e.position[0, 0, :2]).all() != lost, key
+            if "particles" not in names:  # whose engines draw different particles
+                assert (outcome, reason) == (found[0].outcome[0, 0], found[0].reason[0, 0]), key
