@@ -7,8 +7,9 @@ BIN     := $(VENV)/bin
 READY   := $(VENV)/.ready
 # What a processor's vector features may change: kernels against their references, every estimator's contract
 AVX2 := +avx2,+fma
-KERNEL_TESTS := tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes covariances discrepancy kalman \
-	kalman_kernels particle_kernels snapshot)) tests/contracts/test_presets.py
+KERNEL_TESTS := tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes covariances discrepancy divergence \
+	kalman kalman_kernels laws_of_filters particle_kernels snapshot snapshot_covariance)) \
+	$(addprefix tests/contracts/test_,$(addsuffix .py,geometry laws presets))
 # The first interpreter that is new enough, unless the caller names one: make PYTHON=/usr/bin/python3.12
 PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; raise SystemExit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
