@@ -6,6 +6,7 @@ from functools import wraps
 import numpy as np
 import pytest
 
+from aoabench.maths.geometry import to_unit
 from aoabench.roles import Scenario
 
 _approx, _REL, _ABS = pytest.approx, 1e-6, 1e-12  # pytest's own defaults
@@ -84,3 +85,9 @@ class Place(Scenario):
     @property
     def bounds_m(self):
         return self._bounds
+
+
+def directions(batch):
+    """Measured directions (R, T, B, 3), unit vectors in the global frame; NaN if not measured."""
+    u = to_unit(batch.azimuth, batch.elevation)
+    return np.einsum("rtbi,rtbij->rtbj", u, np.broadcast_to(batch.anchors.rotation, (*u.shape, 3)))

@@ -76,13 +76,6 @@ def _turned(u: Array, rotation: Array) -> Array:
     return np.asarray((u[..., None, :] @ rotation)[..., 0, :])
 
 
-def directions(batch: Batch) -> Array:
-    """Measured directions (R, T, B, 3), unit vectors in the global frame; NaN where an angle is not
-    measured.
-    """
-    return _turned(to_unit(batch.azimuth, batch.elevation), batch.anchors.rotation)
-
-
 def off_the_poles(batch: Batch) -> tuple[Batch, np.ndarray]:
     """The batch with the frames of some anchors turned, and the mask (R, T) of the fixes concerned.
 

@@ -22,12 +22,11 @@ import yaml
 from scipy.optimize import least_squares
 
 from aoabench.config.compose import compose_cells
-from aoabench.estimators.rays import directions
 from aoabench.maths.geometry import LIGHT, euler, to_azel
 from aoabench.streams import Streams
 from aoabench.types import SENTENCES, Anchors, Batch, Outcome, Reason
 from tests.contracts.test_presets import setting
-from tests.helpers import Place
+from tests.helpers import Place, directions
 
 FOLDER = Path(__file__).parents[1] / "corpus" / "geometry"
 PRESETS = Path(__file__).parents[2] / "configs"

@@ -16,12 +16,11 @@ from aoabench.errors import BadValue, UserError
 from aoabench.estimators.anchors import AnchorMean, BestAnchor, RssiAnchor, SingleAnchor
 from aoabench.estimators.lines import AnchorDiscarding, LineLeastSquares
 from aoabench.estimators.plane import on_plane
-from aoabench.estimators.rays import directions
 from aoabench.estimators.vmf_likelihood import VmfLikelihood
 from aoabench.maths.geometry import euler, facing, in_frames, to_azel, wrap
 from aoabench.noise.multipath import BleMultipath
 from aoabench.types import Anchors, Batch, Outcome
-from tests.helpers import Place
+from tests.helpers import Place, directions
 
 
 def room(*words, noise="ae_normal", estimator="anchor_mean"):
