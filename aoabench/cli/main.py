@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 import click
 
 from aoabench import __version__
+from aoabench.cli import crash
 from aoabench.cli.collect import collect
 from aoabench.cli.common import QUIET
 from aoabench.cli.compare import compare
@@ -27,6 +28,7 @@ from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
 from aoabench.config.presets import GROUPS
+from aoabench.engine.faults import explained
 from aoabench.errors import RunError, UserError, did_you_mean, shorten
 
 _STOPPED = {"SIGHUP": "hung up", "SIGINT": "interrupted", "SIGTERM": "terminated"}
@@ -68,7 +70,8 @@ def cli(ctx: click.Context) -> None:
       aoabench compare results/raw/sigma
 
     `aoabench COMMAND --help` describes a command. The exit status is 0 when the command is done, 2
-    after a mistake in the input, 130 when interrupted and 1 for anything else.
+    after a mistake in the input, 130 when interrupted and 1 for anything else. With the environment
+    variable AOABENCH_DEBUG=1 errors are printed with their traceback.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
@@ -92,24 +95,33 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     if isinstance(sys.stdout, io.TextIOWrapper):  # its encoding may lack ± or parts of file names
         sys.stdout.reconfigure(errors="backslashreplace")
     with _signals() as received:
-        try:
-            sys.exit(dispatch(arguments))
-        except UserError as error:
-            _complain(str(error))
-            sys.exit(2)
-        except RunError as error:
-            _complain(str(error))
-            sys.exit(1)
-        except KeyboardInterrupt:
-            number = received[0] if received else signal.SIGINT
-            _complain(
-                f"{_STOPPED[number.name]}; finished parts are kept, "
-                "the same command continues from them"
-            )
-            sys.exit(128 + number)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            sys.exit(1)
+        sys.exit(_status(arguments, received))
+
+
+def _status(arguments: Sequence[str], received: Sequence[signal.Signals]) -> int:
+    """Run one subcommand and return its exit status; an exception becomes one line."""
+    debug = bool(os.environ.get(crash.DEBUG))
+    try:
+        with explained():
+            status = dispatch(arguments)
+            sys.stdout.flush()  # a full disk is reported here
+        return status
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt:
+        number = received[0] if received else signal.SIGINT
+        _complain(
+            f"{_STOPPED[number.name]}; finished parts are kept, "
+            "the same command continues from them"
+        )
+        return 128 + number
+    except Exception as error:
+        if debug:
+            raise
+        known = isinstance(error, UserError | RunError)
+        _complain(str(error) if known else crash.reported(error))
+        return 2 if isinstance(error, UserError) else 1
 
 
 def dispatch(arguments: Sequence[str]) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 
 from aoabench.cell import Cell, Until
 from aoabench.engine import tiles
-from aoabench.engine.faults import explained, report, writable
+from aoabench.engine.faults import KEPT, explained, report, writable
 from aoabench.engine.tasks import Loss, Task, kind_of
 from aoabench.engine.timing import time_estimators
 from aoabench.engine.workers import compute_all, cores
@@ -59,7 +59,7 @@ def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
-    with explained(out), locked(out, report):
+    with explained(out, KEPT), locked(out, report):
         return _Run(out, cells, progress).run()
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 from aoabench.columns import IDENTITY, SCHEMA
-from aoabench.errors import UserError
+from aoabench.errors import UserError, WriteError
 from aoabench.resources import version
 
 _SCHEMA = b"aoabench_schema"
@@ -104,14 +104,29 @@ def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
 def write_atomically(path: Path, write: Any) -> None:
     """Call `write(temporary path)` and move the result to `path`, so that a reader never sees half
     a file.
+
+    Raises WriteError for an error of the file system about this file.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         write(temporary)
         os.replace(temporary, path)
+    except OSError as error:
+        if not error.errno or _names_another(error, temporary, path):
+            raise
+        raise WriteError(error.errno, os.strerror(error.errno), str(path)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _names_another(error: OSError, temporary: Path, path: Path) -> bool:
+    """Whether an error names a file that is read, not the file that is written or its folders."""
+    if error.filename is None:  # Arrow's
+        text = str(error)
+        return temporary.name not in text and ("reading" in text or "open local file" in text)
+    return not temporary.is_relative_to(str(error.filename)) and str(error.filename) != str(path)
 
 
 def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> str:

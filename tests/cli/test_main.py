@@ -82,11 +82,16 @@ def test_exit_status(error, status, line, call, monkeypatch):
 
 
 @pytest.mark.parametrize("error", [EOFError("torn"), ValueError("a fault")])
-def test_other_exceptions_are_not_hidden(error, monkeypatch):
+def test_other_exceptions_are_a_line_and_not_hidden(error, call, monkeypatch, tmp_path):
     def fail(*_arguments):
         raise error
 
     monkeypatch.setattr(compare_module, "compare", fail)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    status, out, err = call("compare", "x")
+    assert (status, out, len(err.splitlines())) == (1, "", 1)
+    assert err.startswith(f"aoabench: {type(error).__name__}: {error}; this is a fault ")
+    monkeypatch.setenv("AOABENCH_DEBUG", "1")
     with pytest.raises(type(error), match=str(error)):
         main(["compare", "x"])
 
