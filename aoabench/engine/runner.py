@@ -19,9 +19,9 @@ from aoabench.engine.workers import compute_all, cores
 from aoabench.errors import RunError
 from aoabench.maths import statistics
 from aoabench.store import tables
-from aoabench.store.files import locked
 from aoabench.store.folder import errors, known_timing, record_cell, replay_command, values
 from aoabench.store.keys import draws_key, part_key
+from aoabench.store.lock import Lock, locked
 from aoabench.store.parts import Part, examined, intact_parts, missing_ranges
 
 _LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
@@ -59,15 +59,15 @@ def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
-    with explained(out, KEPT), locked(out, report):
-        return _Run(out, cells, progress).run()
+    with explained(out, KEPT), locked(out, report) as lock:
+        return _Run(out, cells, progress, lock).run()
 
 
 class _Run:
     """One run over cells that share an output folder, whose lock the caller holds."""
 
-    def __init__(self, out: Path, cells: Sequence[Cell], progress: bool) -> None:
-        self.out, self.cells, self.progress = out, cells, progress
+    def __init__(self, out: Path, cells: Sequence[Cell], progress: bool, lock: Lock) -> None:
+        self.out, self.cells, self.progress, self.lock = out, cells, progress, lock
         self.options = cells[0].runner
         self.draws = {cell.id: draws_key(cell) for cell in cells}
         self.keys = {
@@ -97,7 +97,9 @@ class _Run:
             ]
             if not running:
                 break
+        self.lock.check()
         reached = self._tabulate()
+        self.lock.check()
         if self.stopped:
             raise RunError("; ".join(self.stopped.values()))
         precision = [
@@ -156,6 +158,7 @@ class _Run:
 
     def _note(self, task: Task, losses: Mapping[str, Loss]) -> None:
         """Enter the replications and losses of a finished task."""
+        self.lock.check()
         self.computed += task.size
         for name, key in task.keys.items():
             self.losses[key] += losses.get(name, Loss())

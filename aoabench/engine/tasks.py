@@ -9,6 +9,7 @@ from pathlib import Path
 from aoabench.cell import Cell
 from aoabench.engine.block import run_block
 from aoabench.store.files import provenance
+from aoabench.store.lock import check_held
 from aoabench.store.parts import has_part, write_part
 
 
@@ -61,11 +62,13 @@ def compute(task: Task, out: Path) -> dict[str, Loss]:
     killed parent) is not computed again.
     """
     cell = task.cell
+    check_held(out)
     kind, span = kind_of(cell), (task.start, task.stop)
     missing = [name for name, key in task.keys.items() if not has_part(out, key, *span, kind)]
     estimators = {name: cell.estimators[name] for name in missing}
     blocks = run_block(cell.scenario, cell.noise, estimators, cell.seed, *span, cell.runner.steps)
     losses = {}
+    check_held(out)  # no folder is made in the place of one that was moved meanwhile
     for name, block in blocks.items():
         origin = provenance({**cell.config, "this_estimator": name})
         write_part(out, task.keys[name], *span, block, origin)
