@@ -139,6 +139,7 @@ def made_anew(out):
 
 def unlocked(out):
     (out / LOCK).unlink()
+    (out / LOCK).touch()
 
 
 WHERE = "was moved or replaced during the run; the run's folder is now {}/elsewhere; "
