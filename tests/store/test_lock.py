@@ -4,6 +4,7 @@ import fcntl
 import os
 import shutil
 import threading
+import time
 from dataclasses import replace
 
 import pandas as pd
@@ -201,8 +202,10 @@ def test_workers_of_a_moved_folder_stop(cells, tmp_path, monkeypatch):
     out, note = tmp_path / "out", runner._Run._note
 
     def first(self, task, losses):
-        note(self, task, losses)
+        while len(list(out.glob("parts/*/*.json"))) < 3:  # results that nobody will use
+            time.sleep(0.001)
         moved(out)
+        note(self, task, losses)
 
     monkeypatch.setattr(runner._Run, "_note", first)
     with pytest.raises(RunError, match=r"the run's folder is now .*/elsewhere; "):
