@@ -3,6 +3,8 @@
 import errno
 import os
 import re
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -26,8 +28,6 @@ WORDS = ["noise=vmf", "estimator=[ls]", "scenario.steps=2", "reps=4", "runner.n_
 @pytest.fixture(scope="module")
 def cells():
     """The cells of a tiny run; `in_` moves them to a folder."""
-    from dataclasses import replace
-
     (cell,) = compose_cells([*WORDS, "runner.out=unused"])
 
     def in_(folder):
@@ -98,6 +98,21 @@ def test_a_run_that_cannot_write_keeps_its_parts_and_goes_on(
     done = runner.run(cells(tmp_path), progress=False)
     assert (done.computed, done.reused) == ((2, 2) if victim == A_PART else (0, 4))
     pd.testing.assert_frame_equal(aoabench.load(tmp_path), aoabench.load(whole), check_exact=True)
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_results_that_are_not_used_any_more_give_no_warning(cells, tmp_path, monkeypatch):
+    (cell,) = cells(tmp_path)
+    options = replace(cell.runner, n_jobs=2, backend="threading")
+
+    def fails(*_arguments):
+        while len(list(tmp_path.glob("parts/*/*.json"))) < 3:
+            time.sleep(0.001)
+        raise RunError("the end")
+
+    monkeypatch.setattr(runner._Run, "_note", fails)
+    with pytest.raises(RunError, match="the end"):
+        runner.run([replace(cell, runner=options)], progress=False)
 
 
 @pytest.mark.parametrize(("error", "words"), [
