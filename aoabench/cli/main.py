@@ -7,10 +7,12 @@ Exit status: 0 done, 2 the user's mistake (one line), 129 hung up, 130 interrupt
 from __future__ import annotations
 
 import io
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
@@ -28,10 +30,11 @@ from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
 from aoabench.config.presets import GROUPS
-from aoabench.engine.faults import explained
+from aoabench.engine.faults import KEPT, explained
 from aoabench.errors import RunError, UserError, did_you_mean, shorten
 
 _STOPPED = {"SIGHUP": "hung up", "SIGINT": "interrupted", "SIGTERM": "terminated"}
+_GRACE_S = 5  # after the first signal
 
 
 class _Commands(click.Group):
@@ -111,10 +114,7 @@ def _status(arguments: Sequence[str], received: Sequence[signal.Signals]) -> int
         return 1
     except KeyboardInterrupt:
         number = received[0] if received else signal.SIGINT
-        _complain(
-            f"{_STOPPED[number.name]}; finished parts are kept, "
-            "the same command continues from them"
-        )
+        _complain(f"{_STOPPED[number.name]}; {KEPT}")
         return 128 + number
     except Exception as error:
         if debug:
@@ -190,23 +190,28 @@ def _complain(line: str) -> None:
 def _signals() -> Iterator[list[signal.Signals]]:
     """Handle SIGTERM and SIGHUP like Ctrl-C; yield the list of received signals.
 
-    Signals that are ignored, such as SIGHUP under nohup, stay ignored.
+    Signals that are ignored, such as SIGHUP under nohup, stay ignored. Further signals within
+    _GRACE_S of the first are ignored, so that they do not disturb the end; all are ignored once a
+    signal has ended the command, because the process ends too.
     """
     received: list[signal.Signals] = []
+    first = [math.inf]
 
     def stop(number: int, _frame: object) -> None:
         received.append(signal.Signals(number))
-        raise KeyboardInterrupt
+        first[0] = min(first[0], time.monotonic())
+        if len(received) == 1 or time.monotonic() > first[0] + _GRACE_S:
+            raise KeyboardInterrupt
 
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     mine = threading.current_thread() is threading.main_thread()
+    usual = (signal.SIG_DFL, signal.default_int_handler)
     before = {
         number: signal.signal(number, stop)
-        for number in (getattr(signal, name) for name in names)
-        if mine and signal.getsignal(number) is signal.SIG_DFL
+        for number in (getattr(signal, name) for name in _STOPPED if hasattr(signal, name))
+        if mine and signal.getsignal(number) in usual
     }
     try:
         yield received
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if received else handler)
