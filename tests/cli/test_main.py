@@ -112,7 +112,7 @@ def usual_handlers():
 def test_signals_end_a_command_as_ctrl_c_does(
     name, status, word, call, monkeypatch, usual_handlers
 ):
-    number = getattr(signal, name)
+    number, ended = getattr(signal, name), []
 
     def slow(*_arguments):
         try:
@@ -121,12 +121,14 @@ def test_signals_end_a_command_as_ctrl_c_does(
         finally:  # further signals do not disturb the end
             os.kill(os.getpid(), number)
             os.kill(os.getpid(), signal.SIGTERM)
+            ended.append(True)
 
     monkeypatch.setattr(compare_module, "compare", slow)
     code, out, err = call("compare", "x")
     assert (code, out) == (status, "")
     assert err.startswith(f"aoabench: {word}; ")
     assert len(err.splitlines()) == 1
+    assert ended
     assert signal.getsignal(number) == signal.SIG_IGN, "until the process has ended"
 
 
