@@ -12,6 +12,7 @@ import pytest
 import aoabench
 from aoabench import columns
 from aoabench.store import files, fixes, tables
+from aoabench.store.documents import read_document, write_document
 from aoabench.types import SENTENCES, Estimates, Outcome, Reason
 
 NEW = {  # columns that tables of schema 1 lack
@@ -53,11 +54,13 @@ def as_schema_1(out):
         pq.write_table(table.replace_schema_metadata(meta), path)
 
     for path in out.rglob("parts/*/*.json"):
-        named = json.loads(path.read_text())
-        named.pop("reasons", None)
-        for kind, entry in named.items():
-            strip(path.parent / entry[0], NEW.get(kind, ()))
-            entry[1] = files.file_checksum(path.parent / entry[0])
+        kinds = read_document(path)["kinds"]
+        kinds.pop("reasons", None)
+        named = {}
+        for kind, entry in kinds.items():
+            file = path.parent / entry["file"]
+            strip(file, NEW.get(kind, ()))
+            named[kind] = [file.name, files.file_checksum(file)]
         path.write_text(json.dumps(named))
     for path in (out / "replications.parquet").glob("*.parquet"):
         strip(path, NEW["rows"])
@@ -171,14 +174,13 @@ def test_a_part_of_an_unknown_schema_is_refused(run, tmp_path):
     out = tmp_path / "parts"
     shutil.copytree(run, out)
     for path in out.rglob("parts/*/*.json"):
-        named = json.loads(path.read_text())
-        for entry in named.values():
-            table = pq.read_table(path.parent / entry[0])
-            pq.write_table(
-                table.replace_schema_metadata({b"aoabench_schema": b"9"}), path.parent / entry[0]
-            )
-            entry[1] = files.file_checksum(path.parent / entry[0])
-        path.write_text(json.dumps(named))
+        content = read_document(path)
+        for entry in content["kinds"].values():
+            file = path.parent / entry["file"]
+            table = pq.read_table(file)
+            pq.write_table(table.replace_schema_metadata({b"aoabench_schema": b"9"}), file)
+            entry["checksum"] = files.file_checksum(file)
+        write_document(path, content)
     with pytest.raises(aoabench.UserError, match=r"\.rows\..*schema 9"):
         tables.collect(out)
 
