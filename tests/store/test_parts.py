@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aoabench.store.documents import read_document
+from aoabench.store.documents import read_document, write_document
 from aoabench.store.files import file_checksum
 from aoabench.store.parts import examined, has_part, intact_parts, missing_ranges
 from tests.store import made
@@ -81,7 +81,9 @@ def test_a_part_whose_kind_is_altered_is_refused(stored, earlier):
         as_format_1(file)
         assert len(intact_parts(out, "key", "fixes")) == 1
     text = file.read_text()
-    file.write_text(text.replace('"fixes"', '"fixew"'))
+    file.write_text(text.replace("fixes", "fixew"))
+    (fixes,) = file.parent.glob("*.fixes.*")
+    fixes.rename(fixes.with_name(fixes.name.replace("fixes", "fixew")))
     assert_refused(out, "key", file)
 
 
@@ -99,6 +101,41 @@ def test_a_part_without_one_of_its_kinds_or_with_other_rows_is_refused(stored):
         change(content)
         file.write_text(json.dumps(content))
         assert_refused(out, "key", file)
+
+
+@pytest.mark.parametrize("change", [
+    lambda content: content["kinds"].update(fixew=content["kinds"].pop("fixes")),
+    lambda content: content["kinds"]["rows"].update(rows=4),
+    lambda content: content["kinds"].pop("rows"),
+])  # fmt: skip
+def test_a_checksum_file_that_contradicts_itself_is_refused(change, stored):
+    out, file = stored
+    content = read_document(file)
+    change(content)
+    write_document(file, content)
+    assert_refused(out, "key", file)
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_part_whose_file_is_altered_is_refused(earlier, stored):
+    out, file = stored
+    if earlier:
+        as_format_1(file)
+    (rows,) = file.parent.glob("*.rows.*")
+    rows.write_bytes(rows.read_bytes()[:-1] + b"2")
+    assert_refused(out, "key", file)
+
+
+def test_a_document_without_its_checksum_is_refused(tmp_path):
+    file = tmp_path / "a.json"
+    write_document(file, {"a": 1})
+    assert read_document(file) == {"format": 2, "a": 1}
+    for text in ('{"format": 2, "a": 1}', file.read_text().replace("format", "fprmat"), "[1]", ""):
+        file.write_text(text)
+        with pytest.raises(ValueError, match=r"match|object|Expecting"):
+            read_document(file)
+    file.write_text('{"a": 1}')
+    assert read_document(file) == {"a": 1}, "of an earlier version"
 
 
 def test_a_part_of_an_earlier_version_with_too_few_rows_is_refused(stored):
