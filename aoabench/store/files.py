@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 from aoabench.columns import IDENTITY, SCHEMA
-from aoabench.errors import UserError
+from aoabench.errors import RunError, UserError
 from aoabench.resources import version
 
 _SCHEMA = b"aoabench_schema"
+STALE_S = 3600.0  # age of a file that no process is writing any more
+WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
 
 
 def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = None) -> pa.Schema:
@@ -135,7 +137,7 @@ def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> s
 
     def write(temporary: Path) -> None:
         nonlocal checksum
-        pq.write_table(table, temporary, compression="zstd")
+        pq.write_table(table, temporary, **WRITING)
         checksum = file_checksum(temporary)
 
     write_atomically(path, write)
@@ -166,7 +168,7 @@ def write_frame(
         fixed = {field.name: field for field in schema(columns)}
         table = table.cast(pa.schema([fixed.get(field.name, field) for field in table.schema]))
     table = table.replace_schema_metadata(meta)
-    write_atomically(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+    write_atomically(path, lambda temporary: pq.write_table(table, temporary, **WRITING))
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
@@ -184,7 +186,9 @@ def schema_version(path: Path) -> int:
     """
     import pyarrow.parquet as pq
 
-    text = (pq.read_schema(path).metadata or {}).get(_SCHEMA, b"1").decode(errors="replace")
+    with _torn_reported(path):
+        metadata = pq.read_schema(path).metadata or {}
+    text = metadata.get(_SCHEMA, b"1").decode(errors="replace")
     if text.isdecimal() and 1 <= int(text) <= SCHEMA:
         return int(text)
     raise UserError(
@@ -193,5 +197,51 @@ def schema_version(path: Path) -> int:
     )
 
 
+def read_table(
+    source: Any, schema: pa.Schema | None = None, columns: list[str] | None = None
+) -> pa.Table:
+    """A Parquet file, given as its path or as an open Arrow file, with its pages' checksums
+    verified. Raises RunError if it is torn or altered.
+    """
+    import pyarrow.parquet as pq
+
+    with _torn_reported(source):
+        return pq.read_table(
+            source, schema=schema, columns=columns, page_checksum_verification=True
+        )
+
+
+@contextlib.contextmanager
+def _torn_reported(source: Any) -> Iterator[None]:
+    """Turn an error of Arrow in what is not a whole Parquet file into a RunError."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise RunError(f"{source} is torn or altered, or no Parquet file") from None
+
+
+def table_of(data: bytes, columns: list[str] | None = None) -> pa.Table:
+    """The table in the bytes of a Parquet file."""
+    import pyarrow as pa
+
+    return read_table(pa.BufferReader(data), columns=columns)
+
+
+def rows_of(data: bytes) -> int:
+    """The number of rows in the bytes of a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    return int(pq.read_metadata(pa.BufferReader(data)).num_rows)
+
+
+def checksum_of(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
+
+
 def file_checksum(path: Path) -> str:
-    return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
+    return checksum_of(path.read_bytes())

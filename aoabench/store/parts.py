@@ -117,13 +117,14 @@ def _verified_format_1(checksums: Path, named: Mapping[str, Any]) -> Part | None
     return Part(start, stop, files) if rows == stop - start else None
 
 
-def _checksum_files(out: Path, key: str) -> list[Path]:
+def checksum_files(out: Path, key: str) -> list[Path]:
+    """The checksum files of all parts, in order."""
     return sorted((out / "parts" / key).glob("*.json"))
 
 
 def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:
     """The parts of this kind whose checksums match, in order, without torn or altered ones."""
-    parts = (_verified(file) for file in _checksum_files(out, key))
+    parts = (_verified(file) for file in checksum_files(out, key))
     return [part for part in parts if part is not None and kind in part.files]
 
 
@@ -139,7 +140,7 @@ def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
     are reported once.
     """
     parts, damaged = [], []
-    for checksums in _checksum_files(out, key):
+    for checksums in checksum_files(out, key):
         part = _verified(checksums)
         if part is None:
             damaged.append(checksums.rename(f"{checksums}.damaged"))
