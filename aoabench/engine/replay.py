@@ -92,9 +92,7 @@ def replay(
         batch=batch.of(i),
         truth=truth[i : i + 1],
         rmse_3d_m=float(rmse),
-        stored_m=folder.value(
-            run, record["estimators"][estimator]["key"], "rmse_3d_m", replication
-        ),
+        stored_m=_stored(run, record["estimators"][estimator]["key"], replication),
         error=errors.get(replication, ""),
     )
 
@@ -126,6 +124,11 @@ def _preset(record: Mapping[str, Any], estimator: str, replication: int) -> Any:
     if not 0 <= replication < reps:
         raise UserError(f"--replication={replication} is not in this run; allowed: 0 to {reps - 1}")
     return presets[estimator]
+
+
+def _stored(run: Path, key: str, replication: int) -> float:
+    """The 3-D RMSE in m that the run stored."""
+    return folder.value(run, key, "rmse_3d_m", replication)
 
 
 def _estimated(truth: np.ndarray, estimates: Estimates, i: int) -> dict[str, np.ndarray]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from aoabench.errors import UserError
 from aoabench.store.files import write_atomically
 
 FORMAT = 2  # of the files written here; files of format 1 have neither a format nor a checksum
@@ -25,8 +26,8 @@ def write_document(path: Path, content: Mapping[str, Any]) -> None:
 def read_document(path: Path) -> dict[str, Any]:
     """The object in a file, without its checksum; an object of format 1 has no `format`.
 
-    Raises OSError if the file cannot be read, and ValueError if it holds no object, an object whose
-    checksum does not match, or an unknown format.
+    Raises OSError if the file cannot be read, ValueError if it holds no object or one whose
+    checksum does not match, and UserError for an unknown format.
     """
     try:
         content = json.loads(path.read_bytes())
@@ -36,9 +37,14 @@ def read_document(path: Path) -> dict[str, Any]:
         raise ValueError("not an object")
     if "format" not in content and "checksum" not in content:
         return content
-    checksum = content.pop("checksum", None)
-    if content.get("format") != FORMAT or checksum != _checksum(content):
+    checksum, number = content.pop("checksum", None), content.get("format")
+    if type(number) is not int or checksum != _checksum(content):
         raise ValueError("the checksum does not match")
+    if not 1 < number <= FORMAT:
+        raise UserError(
+            f"{path} has format {number}; allowed: 1 to {FORMAT}; read it with the aoabench that "
+            "wrote it, or repeat the run with another runner.out"
+        )
     return content
 
 

@@ -187,8 +187,13 @@ def schema_version(path: Path) -> int:
     import pyarrow.parquet as pq
 
     with _torn_reported(path):
-        metadata = pq.read_schema(path).metadata or {}
-    text = metadata.get(_SCHEMA, b"1").decode(errors="replace")
+        metadata = pq.read_schema(path).metadata
+    return version_in(metadata, path)
+
+
+def version_in(metadata: Mapping[bytes, bytes] | None, path: Path) -> int:
+    """The version of the schema in a table's metadata; UserError as in `schema_version`."""
+    text = (metadata or {}).get(_SCHEMA, b"1").decode(errors="replace")
     if text.isdecimal() and 1 <= int(text) <= SCHEMA:
         return int(text)
     raise UserError(

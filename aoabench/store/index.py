@@ -28,8 +28,10 @@ LEAF = "="  # before the dotted name of a parameter: a column of its values as J
 # status: size, time and number of the record's file; state: digest of the record and of the
 # checksum files of its parts, "" where it is not known yet; rows: replications times estimators;
 # the others as in the record, in JSON where they are not text
-COLUMNS = ("cell", "experiment", "scenario", "noise", "seed", "status", "state", "rows")
-COLUMNS += ("estimators", "named", "plugins", "config")
+COLUMNS = (
+    *("cell", "experiment", "scenario", "noise", "seed", "status", "state", "rows"),
+    *("estimators", "named", "plugins", "config"),
+)
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,9 @@ def read(out: Path, own: Collection[str] = (), anew: bool = False) -> Index:
     )
     if table is not None and not anew:
         keep = [cell in files and known[cell] == files[cell] for cell in known]
-        rows = pa.concat_tables([table.filter(pa.array(keep, pa.bool_())), rows], promote_options="default")
+        rows = pa.concat_tables(
+            [table.filter(pa.array(keep, pa.bool_())), rows], promote_options="default"
+        )
     rows = rows.take(pc.sort_indices(rows, [("cell", "ascending")]))
     return Index(rows, frozenset(fresh), before, earlier)
 

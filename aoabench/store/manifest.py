@@ -20,7 +20,14 @@ from typing import TYPE_CHECKING
 
 from aoabench.errors import RunError
 from aoabench.store.documents import read_document, write_document
-from aoabench.store.files import STALE_S, checksum_of, rows_of, table_of, write_atomically
+from aoabench.store.files import (
+    STALE_S,
+    checksum_of,
+    rows_of,
+    table_of,
+    version_in,
+    write_atomically,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -60,10 +67,11 @@ class Generation:
         return data
 
     def read(self, name: str, columns: list[str] | None = None) -> pa.Table:
-        """One table. Raises FileNotFoundError if its file is missing, and RunError if it is torn or
-        altered.
+        """One table. Raises FileNotFoundError if its file is missing, RunError if it is torn or
+        altered, and UserError for an unknown schema.
         """
         table = table_of(self.data(name), columns)
+        version_in(table.schema.metadata, self.file(name))
         if len(table) != self.tables[name].rows:
             raise torn(self.file(name), self.out)
         return table

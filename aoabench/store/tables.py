@@ -15,16 +15,24 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench.columns import FAILURES, IDENTITY, PRECISION, SUMMARY, TIMING
+from aoabench.columns import FAILURES, IDENTITY, PRECISION, SCHEMA, SUMMARY, TIMING
 from aoabench.errors import RunError, UserError
 from aoabench.store import earlier, manifest, tidy
 from aoabench.store import index as index_module
-from aoabench.store.files import WRITING, provenance, schema, write_atomically, write_frame
+from aoabench.store.files import (
+    WRITING,
+    provenance,
+    schema,
+    version_in,
+    write_atomically,
+    write_frame,
+)
 from aoabench.store.folder import read_record, write_record
 from aoabench.store.index import Index
 from aoabench.store.rows import CellRows
@@ -91,11 +99,13 @@ def _before(index: Index, changed: Collection[str]) -> _Before | None:
         order = generation.read("cells", ["cell"])["cell"].to_pylist()
         counts = {cell: index.earlier[cell][1] for cell in order}
         rows = tidy.Earlier(generation.data("tidy"), counts)
+        if any(version_in(table.schema.metadata, generation.out) < SCHEMA for table in kept):
+            return None
     except (RunError, FileNotFoundError, KeyError):
         return None
     for cell in changed:
         rows.spans.pop(cell, None)
-    return _Before(*kept, rows)
+    return _Before(kept[0], kept[1], rows)
 
 
 class _Collect:
@@ -120,7 +130,8 @@ class _Collect:
         cells = self._cell_table()
         files = {n: manifest.new_file(self.out, n) for n in ("cells", "tidy", "summary")}
         write_frame(files["cells"], cells, columns={})
-        counts, earlier = self.index.column("rows"), self.before and self.before.tidy
+        counts = self.index.column("rows")
+        earlier = None if self.before is None else self.before.tidy
         write_atomically(
             files["tidy"], lambda t: tidy.write(t, cells, counts, self._rows_of, earlier)
         )
@@ -155,7 +166,9 @@ class _Collect:
 
     def _summary_table(self) -> pd.DataFrame:
         """The summary of every estimator in every cell."""
-        table = self._joined(self.before and self.before.summary, self.summary, SUMMARY)
+        table = self._joined(
+            None if self.before is None else self.before.summary, self.summary, SUMMARY
+        )
         frame: pd.DataFrame = table.to_pandas()
         at = [self.place[cell] for cell in table["cell"].to_pylist()]
         for name, values in self.swept.items():
@@ -166,7 +179,9 @@ class _Collect:
         return frame[[*IDENTITY, *self.swept, *rest]]
 
     def _failures_table(self) -> pa.Table:
-        return self._joined(self.before and self.before.failures, self.failures, FAILURES)
+        return self._joined(
+            None if self.before is None else self.before.failures, self.failures, FAILURES
+        )
 
     def _joined(
         self, kept: pa.Table | None, new: Sequence[Mapping[str, Any]], columns: Mapping[str, str]
@@ -179,7 +194,9 @@ class _Collect:
         table = _table(new, columns)
         if kept is not None:
             stays = [c in self.place and c not in self.changed for c in kept["cell"].to_pylist()]
-            table = pa.concat_tables([kept.select(list(columns)).filter(pa.array(stays, pa.bool_())), table])
+            table = pa.concat_tables(
+                [kept.select(list(columns)).filter(pa.array(stays, pa.bool_())), table]
+            )
         places = np.array([self.place[cell] for cell in table["cell"].to_pylist()], dtype=int)
         return table.take(pa.array(np.argsort(places, kind="stable")))
 
@@ -207,7 +224,9 @@ def _write(out: Path, name: str, table: pa.Table) -> Path:
 
 def _timing_tables(out: Path, index: Index) -> dict[str, Path]:
     """Write the timing table and the table of the precision reached, from the recorded cells."""
-    rows = list(zip(*(index.column(name) for name in (*IDENTITY[:4], "estimators"))))
+    rows = sorted(
+        zip(*(index.column(name) for name in (*IDENTITY[:4], "estimators"))), key=itemgetter(0)
+    )
     made = {}
     for kind, columns in (("timing", TIMING), ("precision", PRECISION)):
         found = [

@@ -44,8 +44,19 @@ def run(tmp_path_factory):
     return out
 
 
+def as_version_1(out):
+    """Rewrite the records of a run as an earlier version wrote them, and take its manifest away."""
+    (out / "tables.json").unlink()
+    shutil.rmtree(out / ".tables")
+    for path in (out / "cells").iterdir():
+        record = read_document(path)
+        record.pop("format")
+        path.write_text(json.dumps(record))
+
+
 def as_schema_1(out):
     """Rewrite the files of a run as an earlier version wrote them."""
+    as_version_1(out)
 
     def strip(path, names=()):
         table = pq.read_table(path)
@@ -157,6 +168,7 @@ def test_a_new_cell_in_an_old_folder_leaves_both_readable(run, tmp_path):
 def test_a_folder_of_an_unknown_schema_is_refused_in_one_line(version, run, tmp_path):
     out = tmp_path / "new"
     shutil.copytree(run, out)
+    as_version_1(out)
     for path in [f for f in out.rglob("*.parquet") if f.is_file() and "parts" not in f.parts]:
         table = pq.read_table(path)
         meta = {**table.schema.metadata, b"aoabench_schema": version.encode()}
