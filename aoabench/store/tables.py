@@ -47,8 +47,7 @@ if TYPE_CHECKING:
 class _Before:
     """What the tables made last show of the cells that have not changed."""
 
-    summary: pa.Table
-    failures: pa.Table
+    tables: Mapping[str, pa.Table]
     tidy: tidy.Earlier
 
 
@@ -95,17 +94,19 @@ def _before(index: Index, changed: Collection[str]) -> _Before | None:
     if generation is None:
         return None
     try:
-        kept = [generation.read(name) for name in ("summary", "failures")]
+        kept = {name: generation.read(name) for name in ("summary", "failures")}
         order = generation.read("cells", ["cell"])["cell"].to_pylist()
         counts = {cell: index.earlier[cell][1] for cell in order}
         rows = tidy.Earlier(generation.data("tidy"), counts)
-        if any(version_in(table.schema.metadata, generation.out) < SCHEMA for table in kept):
+        if any(
+            version_in(table.schema.metadata, generation.out) < SCHEMA for table in kept.values()
+        ):
             return None
     except (RunError, FileNotFoundError, KeyError):
         return None
     for cell in changed:
         rows.spans.pop(cell, None)
-    return _Before(kept[0], kept[1], rows)
+    return _Before(kept, rows)
 
 
 class _Collect:
@@ -166,9 +167,7 @@ class _Collect:
 
     def _summary_table(self) -> pd.DataFrame:
         """The summary of every estimator in every cell."""
-        table = self._joined(
-            None if self.before is None else self.before.summary, self.summary, SUMMARY
-        )
+        table = self._joined("summary", self.summary, SUMMARY)
         frame: pd.DataFrame = table.to_pandas()
         at = [self.place[cell] for cell in table["cell"].to_pylist()]
         for name, values in self.swept.items():
@@ -179,20 +178,19 @@ class _Collect:
         return frame[[*IDENTITY, *self.swept, *rest]]
 
     def _failures_table(self) -> pa.Table:
-        return self._joined(
-            None if self.before is None else self.before.failures, self.failures, FAILURES
-        )
+        return self._joined("failures", self.failures, FAILURES)
 
     def _joined(
-        self, kept: pa.Table | None, new: Sequence[Mapping[str, Any]], columns: Mapping[str, str]
+        self, name: str, new: Sequence[Mapping[str, Any]], columns: Mapping[str, str]
     ) -> pa.Table:
-        """The rows of the cells that have not changed and the new ones, in the order of the
-        cells.
+        """The earlier table's rows of the cells that have not changed and the new rows, in the
+        order of the cells.
         """
         import pyarrow as pa
 
         table = _table(new, columns)
-        if kept is not None:
+        if self.before is not None:
+            kept = self.before.tables[name]
             stays = [c in self.place and c not in self.changed for c in kept["cell"].to_pylist()]
             table = pa.concat_tables(
                 [kept.select(list(columns)).filter(pa.array(stays, pa.bool_())), table]
