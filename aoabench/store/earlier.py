@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from aoabench.columns import REPLICATIONS
 from aoabench.errors import RunError, UserError
-from aoabench.store.files import read_table, schema, schema_version
+from aoabench.store.files import read_table, schema
 from aoabench.store.folder import read_record, record_files
 from aoabench.store.manifest import torn
 
@@ -31,7 +31,6 @@ def shown(out: Path, names: Iterable[str]) -> dict[str, pd.DataFrame]:
 def _frame(path: Path, out: Path, columns: dict[str, str] | None = None) -> pd.DataFrame:
     """A table as a frame; with `columns`, those that it lacks are NaN or None."""
     try:
-        schema_version(path)
         table = read_table(path, None if columns is None else schema(columns))
         frame: pd.DataFrame = table.to_pandas()
     except FileNotFoundError:

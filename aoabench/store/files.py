@@ -26,6 +26,7 @@ from aoabench.resources import version
 
 _SCHEMA = b"aoabench_schema"
 STALE_S = 3600.0  # age of a file that no process is writing any more
+_LARGE = 2**20  # bytes of a table that threads read faster
 WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
 
 
@@ -179,20 +180,11 @@ def read_provenance(path: Path) -> dict[str, Any]:
     return json.loads(text) if text else {}
 
 
-def schema_version(path: Path) -> int:
-    """The version of the schema of a run's table: columns.SCHEMA or an earlier one.
+def version_in(metadata: Mapping[bytes, bytes] | None, path: Path) -> int:
+    """The version of the schema in a table's metadata: columns.SCHEMA or an earlier one.
 
     Raises UserError for a version that this aoabench does not know.
     """
-    import pyarrow.parquet as pq
-
-    with _torn_reported(path):
-        metadata = pq.read_schema(path).metadata
-    return version_in(metadata, path)
-
-
-def version_in(metadata: Mapping[bytes, bytes] | None, path: Path) -> int:
-    """The version of the schema in a table's metadata; UserError as in `schema_version`."""
     text = (metadata or {}).get(_SCHEMA, b"1").decode(errors="replace")
     if text.isdecimal() and 1 <= int(text) <= SCHEMA:
         return int(text)
@@ -203,17 +195,39 @@ def version_in(metadata: Mapping[bytes, bytes] | None, path: Path) -> int:
 
 
 def read_table(
-    source: Any, schema: pa.Schema | None = None, columns: list[str] | None = None
+    path: Path, schema: pa.Schema | None = None, columns: list[str] | None = None
 ) -> pa.Table:
-    """A Parquet file, given as its path or as an open Arrow file, with its pages' checksums
-    verified. Raises RunError if it is torn or altered.
+    """The table in a Parquet file; with `schema`, that of a run's table, whose columns of another
+    version that the file lacks are null. Raises as `table_of` does.
     """
+    return table_of(path.read_bytes(), path, schema, columns)
+
+
+def table_of(
+    data: bytes, path: Path, schema: pa.Schema | None = None, columns: list[str] | None = None
+) -> pa.Table:
+    """The table in the bytes of a Parquet file (see `read_table`), its pages' checksums verified.
+
+    Raises RunError if they are torn or altered, and UserError for an unknown schema.
+    """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with _torn_reported(source):
-        return pq.read_table(
-            source, schema=schema, columns=columns, page_checksum_verification=True
-        )
+    with _torn_reported(path):
+        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        names = file.schema_arrow.names
+        wanted = columns or (names if schema is None else schema.names)
+        known = [name for name in wanted if name in names]
+        table = file.read(known, use_threads=len(data) > _LARGE)
+        version_in(table.schema.metadata, path)
+        if schema is None:
+            return table
+        fields = [schema.field(name) for name in wanted]
+        found = [
+            table[f.name].cast(f.type) if f.name in known else pa.nulls(len(table), f.type)
+            for f in fields
+        ]
+        return pa.table(found, schema=pa.schema(fields, metadata=schema.metadata))
 
 
 @contextlib.contextmanager
@@ -227,13 +241,6 @@ def _torn_reported(source: Any) -> Iterator[None]:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         raise RunError(f"{source} is torn or altered, or no Parquet file") from None
-
-
-def table_of(data: bytes, columns: list[str] | None = None) -> pa.Table:
-    """The table in the bytes of a Parquet file."""
-    import pyarrow as pa
-
-    return read_table(pa.BufferReader(data), columns=columns)
 
 
 def rows_of(data: bytes) -> int:

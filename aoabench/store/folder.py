@@ -15,7 +15,7 @@ from aoabench.cell import Cell
 from aoabench.columns import IDENTITY, KINDS
 from aoabench.errors import RunError
 from aoabench.store.documents import FORMAT, read_document, write_document
-from aoabench.store.files import provenance, read_table, schema, schema_version
+from aoabench.store.files import provenance, read_table, schema
 from aoabench.store.parts import Part, intact_parts
 
 if TYPE_CHECKING:
@@ -137,7 +137,6 @@ def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, st
     """
     found: dict[int, str] = {}
     for file in (part.files["failures"] for part in parts if "failures" in part.files):
-        schema_version(file)
         for row in read_table(file, schema(KINDS["failures"])).to_pylist():
             if row["replication"] < reps and (row["lost"] or not lost):
                 found[row["replication"]] = row["error"]
@@ -153,7 +152,6 @@ def reasons(parts: Iterable[Part], reps: int) -> pd.DataFrame:
     columns = schema(KINDS["reasons"])
     found = [columns.empty_table().to_pandas()]
     for file in (part.files["reasons"] for part in parts if "reasons" in part.files):
-        schema_version(file)
         found.append(read_table(file, columns).to_pandas())
     table: pd.DataFrame = pd.concat(found, ignore_index=True)
     table = table.drop_duplicates(["replication", "outcome", "reason"])
@@ -197,8 +195,7 @@ def value(out: Path, key: str, column: str, replication: int) -> float:
     """One replication's value in a column of a part key; RunError if it is missing."""
     for part in intact_parts(out, key):
         if part.start <= replication < part.stop:
-            schema_version(part.files["rows"])
-            rows = read_table(part.files["rows"], columns=["replication", column])
+            rows = read_table(part.files["rows"], schema(KINDS["rows"]), ["replication", column])
             at = rows["replication"].to_pylist().index(replication)
             return float(rows[column][at].as_py())
     raise RunError(
@@ -229,7 +226,6 @@ def noted_parts(
             continue
         if found.start > position:
             break
-        schema_version(found.files[kind])
         part = read_table(found.files[kind], inner, columns)
         number = part["replication"]
         keep = pc.and_(pc.greater_equal(number, position), pc.less(number, entry["reps"]))

@@ -25,7 +25,6 @@ from aoabench.store.files import (
     checksum_of,
     rows_of,
     table_of,
-    version_in,
     write_atomically,
 )
 
@@ -70,8 +69,7 @@ class Generation:
         """One table. Raises FileNotFoundError if its file is missing, RunError if it is torn or
         altered, and UserError for an unknown schema.
         """
-        table = table_of(self.data(name), columns)
-        version_in(table.schema.metadata, self.file(name))
+        table = table_of(self.data(name), self.file(name), columns=columns)
         if len(table) != self.tables[name].rows:
             raise torn(self.file(name), self.out)
         return table

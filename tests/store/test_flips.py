@@ -30,8 +30,7 @@ def read(out):
     for name, ask in (("load", tables.load), ("compare", aoabench.compare)):
         try:
             found[name] = ask(out)
-        except (aoabench.UserError, aoabench.RunError) as error:
-            assert "\n" not in str(error)
+        except (aoabench.UserError, aoabench.RunError):
             found[name] = None
     return found
 
@@ -47,8 +46,7 @@ def collected(out, *only):
     """What readers return after a collect; nothing if that reports why it cannot."""
     try:
         tables.collect(out, *only)
-    except (aoabench.UserError, aoabench.RunError) as error:
-        assert "\n" not in str(error)
+    except (aoabench.UserError, aoabench.RunError):
         return {}
     found = read(out)
     assert None not in [type(frame) for frame in found.values()]
