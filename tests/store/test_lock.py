@@ -183,7 +183,7 @@ def test_a_folder_that_is_gone_is_reported(how, words, moment, cells, whole, tmp
     monkeypatch.undo()
     there = out.with_name("elsewhere") if how in (moved, replaced) else out
     done = runner.run(cells(there), progress=False)
-    parts = {"before the tables": 6}.get(moment, 2)
+    parts = 6 if moment == "before the tables" else 3 if how is unlocked else 2
     assert done.reused == (0 if how in (deleted, made_anew) else parts)
     pd.testing.assert_frame_equal(aoabench.load(there), whole, check_exact=True)
 
