@@ -13,6 +13,7 @@ from typing import Any
 from aoabench.cell import Cell, Until
 from aoabench.engine import tiles
 from aoabench.engine.faults import KEPT, explained, report, writable
+from aoabench.engine.machines import Machines
 from aoabench.engine.tasks import Loss, Task, kind_of
 from aoabench.engine.timing import time_estimators
 from aoabench.engine.workers import compute_all, cores
@@ -80,6 +81,9 @@ class _Run:
         self.stopped: dict[str, str] = {}  # by cell: the reason
         self.precision: dict[str, dict[str, dict[str, Any]]] = {}  # by cell and estimator
         self.damaged: list[Path] = []
+        self.machines = Machines(
+            self.options.other_machines == "refuse", remote=self.options.backend == "dask"
+        )
         self.computed = 0
 
     def run(self) -> RunReport:
@@ -99,6 +103,7 @@ class _Run:
             if not running:
                 break
         self.lock.check()
+        self.machines.compare(self.out, {key for one in self.keys.values() for key in one.values()})
         reached = self._tabulate()
         self.lock.check()
         if self.stopped:
@@ -149,13 +154,19 @@ class _Run:
                             "computed again"
                         )
                     self.damaged += damaged
+                    self.machines.note(parts, self._most(cell))
                     self.losses[key] = Loss.of(errors(parts, goal, lost=True))
                     self.stored[key] = min(sum(part.stop - part.start for part in parts), goal)
                     done[name] = parts
                 self._check(cell, name)
             if cell.id not in self.stopped:
                 tasks += _tasks(cell, self.keys[cell.id], done, goal)
+        self.machines.settle()
         return tasks
+
+    def _most(self, cell: Cell) -> int:
+        """The largest number of replications that the cell may reach."""
+        return self.options.until.max_reps if self.options.until else cell.reps
 
     def _note(self, task: Task, losses: Mapping[str, Loss]) -> None:
         """Enter the replications and losses of a finished task."""

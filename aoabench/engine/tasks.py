@@ -10,6 +10,7 @@ from aoabench.cell import Cell
 from aoabench.engine.block import run_block
 from aoabench.store.files import provenance
 from aoabench.store.lock import check_held
+from aoabench.store.machine import machine
 from aoabench.store.parts import has_part, write_part
 
 
@@ -71,7 +72,7 @@ def compute(task: Task, out: Path) -> dict[str, Loss]:
     check_held(out)  # no folder is made in the place of one that was moved meanwhile
     for name, block in blocks.items():
         origin = provenance({**cell.config, "this_estimator": name})
-        write_part(out, task.keys[name], *span, block, origin)
+        write_part(out, task.keys[name], *span, block, origin, machine())
         if "failures" in block:
             errors = dict(
                 zip(block["failures"]["replication"].tolist(), block["failures"]["error"])
