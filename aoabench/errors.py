@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import sys
+import unicodedata
 from collections.abc import Iterable, Sequence
 from numbers import Real
 from typing import cast
@@ -32,11 +33,41 @@ def shorten(text: str, most: int = 200) -> str:
     return f"{text[:half]} ... {text[-half:]}"
 
 
-class UserError(Exception):
+def printable(text: str) -> str:
+    """Return `text` with an escape such as \\x1b in place of each character that a terminal obeys
+    or does not show; ends of lines stay.
+    """
+    if text.isprintable():
+        return text
+    return "".join(map(_visible, text))
+
+
+def _visible(character: str) -> str:
+    hidden = unicodedata.category(character)[0] == "C" or character in "\u2028\u2029"
+    plain = not hidden or character == "\n"
+    return character if plain else character.encode("unicode_escape").decode()
+
+
+def listed(names: Sequence[object], most: int = 20) -> str:
+    """Return names from a user's file, separated by commas: the first `most`, each of at most 60
+    characters.
+    """
+    some = ", ".join(shorten(printable(str(name)), 60) for name in names[:most])
+    return some + (f", ... ({len(names)})" if len(names) > most else "")
+
+
+class _Line(Exception):
+    """An exception whose text is safe to print."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
+
+
+class UserError(_Line):
     """A mistake in the input that the user can correct: one clear line, exit status 2."""
 
 
-class RunError(Exception):
+class RunError(_Line):
     """An error that stops a run and that no check of the input can find: one clear line, exit
     status 1.
     """

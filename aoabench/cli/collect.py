@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 
 from aoabench.cli.common import Command, json_option, print_json, run_argument, say
+from aoabench.engine.faults import report
 from aoabench.errors import UserError
 
 _TABLES = ("tidy", "replications", "summary", "cells", "timing")
@@ -34,7 +34,7 @@ def collect(run: Path, as_json: bool) -> None:
     noted = folder.records(run)
     if not noted:
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a run")
-    with locked(run, lambda line: print(f"aoabench: {line}", file=sys.stderr)):
+    with locked(run, report):
         tables.collect(run)
     if as_json:
         paths = {name: run / f"{name}.parquet" for name in _TABLES}

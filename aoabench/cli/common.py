@@ -9,13 +9,13 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
 
 from aoabench.engine.faults import explained
-from aoabench.errors import did_you_mean, shorten
+from aoabench.errors import did_you_mean, printable, shorten
 
 _QUIET = "aoabench.quiet"
 SCHEMA = 1  # of the objects that --json prints
@@ -66,7 +66,12 @@ def say(line: str = "") -> None:
     """
     ctx = click.get_current_context()
     if not ctx.meta.get(_QUIET):
-        print(line, file=sys.stderr if ctx.params.get("as_json") else sys.stdout)
+        echo(line, file=sys.stderr if ctx.params.get("as_json") else sys.stdout)
+
+
+def echo(text: str, file: TextIO | None = None) -> None:
+    """Print lines that may hold names and words from other people's files."""
+    print(printable(text), file=file)
 
 
 json_option = click.option(

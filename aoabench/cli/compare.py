@@ -8,7 +8,14 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
-from aoabench.cli.common import Command, estimator_names, json_option, print_json, run_argument
+from aoabench.cli.common import (
+    Command,
+    echo,
+    estimator_names,
+    json_option,
+    print_json,
+    run_argument,
+)
 
 
 def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -58,8 +65,8 @@ def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None
         found = {name: table.attrs[name] for name in ("comparisons", "left_out")}
         print_json({"run": run, "metric": metric, **found, "rows": table.to_dict("records")})
     else:
-        print("\n".join(lines(table)))
+        echo("\n".join(lines(table)))
     try:
         write_frame(run / "compare.parquet", table)
     except OSError as error:  # another user's run, or an archive
-        print(f"({run}/compare.parquet cannot be written: {error.strerror})", file=sys.stderr)
+        echo(f"({run}/compare.parquet cannot be written: {error.strerror})", file=sys.stderr)

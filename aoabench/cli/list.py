@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from aoabench.cli.common import Command, json_option, print_json
+from aoabench.cli.common import Command, echo, json_option, print_json
 from aoabench.config.presets import GROUPS, options
 from aoabench.errors import UserError
 
@@ -67,9 +67,9 @@ def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> N
         print_json({"groups": found})
         return
     for group, presets in found.items():
-        print(f"{group}:" if presets else f"{group}: (none yet)")
+        echo(f"{group}:" if presets else f"{group}: (none yet)")
         for preset, text in presets.items():
-            print(f"  {preset:24s} {text}")
+            echo(f"  {preset:24s} {text}")
 
 
 def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
@@ -80,9 +80,9 @@ def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
         print_json({"fits": found})
         return
     for group, names in found.items():
-        print(f"{group}:" if names else f"{group}: none")
+        echo(f"{group}:" if names else f"{group}: none")
         for name, noises in names.items():
-            print(f"  {name:24s} noise={','.join(noises)}")
+            echo(f"  {name:24s} noise={','.join(noises)}")
 
 
 def _print_parameters(name: str, config_dir: str | None, as_json: bool) -> None:
@@ -98,9 +98,9 @@ def _print_parameters(name: str, config_dir: str | None, as_json: bool) -> None:
     if as_json:
         print_json({"group": group, "preset": name, "parameters": [p._asdict() for p in found]})
         return
-    print(f"{group}={name}: {options(group, config_dir)[name]}")
+    echo(f"{group}={name}: {options(group, config_dir)[name]}")
     for one in found:
         value = json.dumps(one.value)
         short = value if len(value) <= 24 else f"{value[:20]} ..."
         text = f"{one.help} [{one.unit}]" if one.unit else one.help
-        print(f"  {one.key:44s} {short:26s} {text}")
+        echo(f"  {one.key:44s} {short:26s} {text}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from aoabench.cli.common import Choice, Command, estimator_names, run_argument
+from aoabench.cli.common import Choice, Command, echo, estimator_names, run_argument
 
 
 @click.command(cls=Command)
@@ -53,4 +53,4 @@ def replay(
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
     packages = package_names(name.strip() for name in plugins.split(",") if name.strip())
     done = repeat(run, replication, estimator, cell, packages)
-    print(replay_files.write(done, export))
+    echo(replay_files.write(done, export))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from aoabench.cli.common import Choice, Command, json_option, print_json, say
+from aoabench.cli.common import Choice, Command, echo, json_option, print_json, say
 from aoabench.cli.complete import override_items
 from aoabench.errors import UserError, check_number, did_you_mean
 
@@ -139,7 +139,7 @@ def _simulate(
     cells = compose.compose_cells(words, config_dir=config_dir, sweep=sweep)
     notes = list(dict.fromkeys(line for cell in cells for line in cell.notes))
     for line in notes:
-        print(line, file=sys.stderr)
+        echo(line, file=sys.stderr)
     found = show.finished(runner.run(cells), cells)
     figures = list(_figures(found.report.out, found.cells.values()))
     worst = show.worst(found, n_worst) if n_worst else []
@@ -152,7 +152,7 @@ def _simulate(
     for path in figures:
         say(f"figure: {path}")
     if n_worst:
-        print("\n".join(show.worst_text(worst)))
+        echo("\n".join(show.worst_text(worst)))
 
 
 def _figures(out: Path, cells: Iterable[Cell]) -> Iterator[Path]:

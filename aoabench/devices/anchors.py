@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aoabench.devices.table import Table, header
+from aoabench.devices.columns import header, shown_columns
+from aoabench.devices.table import Table
 from aoabench.errors import BadValue, did_you_mean
 from aoabench.maths.geometry import Array, euler
 from aoabench.types import Anchors
@@ -93,7 +94,7 @@ def _check_columns(key: str, path: str, present: Sequence[str]) -> None:
     for name in COLUMNS:
         if present.count(name) > 1 or (name in REQUIRED and name not in present):
             hint = _hint(name, [one for one in present if one not in COLUMNS])
-            raise BadValue(key, path, f"{SCHEMA}; it has {', '.join(present)}{hint}")
+            raise BadValue(key, path, f"{SCHEMA}; it has {shown_columns(present)}{hint}")
     for column in present:
         word = re.split(r"[ _(\[]", column.strip().lower())[0]
         for name, words in _OTHER_WORDS.items():

@@ -12,7 +12,7 @@ from aoabench.devices import plan
 from aoabench.devices.anchors import AnchorsFile, read_anchors
 from aoabench.devices.extent import Box, Thing, check_anchors, check_walls
 from aoabench.devices.sight import faces_along, in_sight, on_walls
-from aoabench.errors import BadValue
+from aoabench.errors import BadValue, listed
 from aoabench.maths.geometry import Array
 
 
@@ -96,4 +96,4 @@ class FloorPlan:
 
     def _ids(self, which: Sequence[int] | np.ndarray) -> str:
         """The ids of some anchors, at most ten of them."""
-        return ", ".join(self.known.ids[j] for j in which[:10]) + ", ..." * (len(which) > 10)
+        return listed([self.known.ids[j] for j in which], most=10)

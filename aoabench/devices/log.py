@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aoabench.devices.table import Table, header
-from aoabench.errors import BadValue, did_you_mean
+from aoabench.devices.columns import header, shown_columns
+from aoabench.devices.table import Table
+from aoabench.errors import BadValue, did_you_mean, listed
 from aoabench.maths.geometry import Array, wrap
 from aoabench.types import Measurements
 
@@ -92,7 +93,7 @@ def _no_column(
 ) -> BadValue:
     """The error for the column `ours`, whose name `wanted` is missing or twice in the file."""
     default = f", by default called {wanted}," if name is None else ""
-    allowed = f"a column{default} of {path}, which has {', '.join(columns)}"
+    allowed = f"a column{default} of {path}, which has {shown_columns(columns)}"
     if wanted in columns:
         allowed += f"; {wanted} occurs {columns.count(wanted)} times"
     else:
@@ -115,7 +116,7 @@ def known_anchors(
     if not unknown:
         return table, anchor, []
     if unknown == len(anchor):
-        raise table.bad(f"at least one row of a known anchor: {', '.join(ids[:20])}")
+        raise table.bad(f"at least one row of a known anchor: {listed(ids)}")
     notes = [f"{table.path}: {unknown} rows of unknown anchors left out"]
     return table.where(anchor >= 0), anchor[anchor >= 0], notes
 

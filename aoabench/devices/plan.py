@@ -117,7 +117,9 @@ def _number(key: str, path: Path, row: list[str], column: int, name: str, line: 
         value = math.nan
     if not math.isfinite(value):
         raise BadValue(
-            key, str(path), f"a finite number in every row; line {line} has {name}={cell!r}"
+            key,
+            str(path),
+            f"a finite number in every row; line {line} has {name}={shorten(repr(cell))}",
         )
     return value
 
@@ -140,7 +142,10 @@ def _geojson(key: str, path: Path, unit: str | None, local: bool) -> tuple[Array
             if isinstance(stated, str) and stated in UNITS
             else "convert them to m"
         )
-        raise bad(f"local coordinates in {unit or 'm'}; its units is {stated!r}: {wanted}")
+        raise bad(
+            f"local coordinates in {unit or 'm'}; its units is {shorten(repr(stated), 60)}: "
+            f"{wanted}"
+        )
     if content.get("crs") is not None and not local:
         raise bad(
             f"local coordinates; its crs is {_crs(content['crs'])}: scenario.walls_crs=local if x "
@@ -179,7 +184,8 @@ def _feature(number: int, feature: Any) -> tuple[str, list[Array]]:
         raise ValueError(
             "walls (kind wall) as LineString or MultiLineString, "
             "the visited area (kind visited) as Polygon; "
-            f"feature {number} has the kind {kind!r} and the geometry {form!r}"
+            f"feature {number} has the kind {shorten(repr(kind), 60)} "
+            f"and the geometry {shorten(repr(form), 60)}"
         )
     parts = [nested] if form == "LineString" else nested
     lines = [_line(part) for part in parts] if isinstance(parts, list) else []

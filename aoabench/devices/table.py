@@ -7,15 +7,14 @@ functions, because a list of presets does not need them.
 
 from __future__ import annotations
 
-import csv
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench.errors import BadValue, did_you_mean
+from aoabench.devices.columns import KINDS, header, is_parquet, is_plain, ranges_of, reason_of
+from aoabench.errors import BadValue, did_you_mean, listed, shorten
 from aoabench.maths.geometry import Array
 
 if TYPE_CHECKING:
@@ -23,44 +22,6 @@ if TYPE_CHECKING:
 
 TEXTS = ("fix", "anchor", "id")  # read as text: 007 is not 7, and 1E5 is not a number
 EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None"]
-
-
-def header(key: str, path: object) -> list[str]:
-    """The names of the file's columns."""
-    parquet = _is_parquet(key, path)
-    try:
-        if parquet:
-            import pyarrow.parquet as pq
-
-            return list(pq.read_schema(path).names)
-        with open(str(path), encoding="utf-8-sig", newline="") as file:
-            found = [name.strip() for name in next(csv.reader(file), [])]
-    except (OSError, ValueError, csv.Error) as error:
-        raise BadValue(key, path, f"a readable {_KINDS}; {_reason(error)}") from None
-    if not any(found):
-        raise BadValue(key, path, f"a {_KINDS} whose first line names its columns; line 1 is empty")
-    return found
-
-
-_KINDS = "CSV file in UTF-8 (.csv) or Parquet file (.parquet)"
-EXISTING = f"existing {_KINDS}"
-
-
-def _is_parquet(key: str, path: object) -> bool:
-    if not isinstance(path, str) or not os.path.isfile(path):
-        folder = "; this is a folder" if isinstance(path, str) and os.path.isdir(path) else ""
-        raise BadValue(key, path, f"an {EXISTING}{folder}")
-    kind = os.path.splitext(path)[1].lower()
-    if kind not in (".csv", ".parquet"):
-        raise BadValue(key, path, f"a {_KINDS}")
-    return kind == ".parquet"
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, UnicodeDecodeError):
-        return f"byte {error.start} is not UTF-8"
-    lines = str(getattr(error, "strerror", None) or error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__
 
 
 @dataclass(frozen=True)
@@ -81,14 +42,14 @@ class Table:
         """
         present = header(key, path)
         try:
-            if _is_parquet(key, path):
+            if is_parquet(key, path):
                 table = Table._parquet(key, path, names)
             else:
                 table = Table._csv(key, path, names, present)
         except BadValue:
             raise
-        except (OSError, ValueError) as error:  # pandas and Arrow
-            raise BadValue(key, path, f"a readable {_KINDS}; {_reason(error)}") from None
+        except (OSError, ValueError, NotImplementedError) as error:  # pandas and Arrow
+            raise BadValue(key, path, f"a readable {KINDS}; {reason_of(error)}") from None
         table = table.where(table.frame.notna().any(axis=1).to_numpy())
         if not len(table.frame):
             raise table.bad("a file with at least one row")
@@ -99,7 +60,16 @@ class Table:
         import pandas as pd
         import pyarrow.parquet as pq
 
-        found = pq.read_table(path, columns=list(dict.fromkeys(names.values()))).to_pandas()
+        with open(path, "rb") as file:
+            whole = pq.ParquetFile(file)
+            ranges = ranges_of(whole.schema_arrow)
+            stored = [name for name in dict.fromkeys(names.values()) if name not in ranges]
+            table = whole.read(stored)
+        for field in table.schema:
+            if not is_plain(field.type):
+                allowed = "columns of texts, numbers or times"
+                raise BadValue(key, path, f"{allowed}; {field.name!r} has the type {field.type}")
+        found = table.replace_schema_metadata(None).to_pandas().assign(**ranges)
         columns = {ours: found[theirs] for ours, theirs in names.items()}
         return Table(key, path, names, pd.DataFrame(columns).reset_index(drop=True), ("row", 1))
 
@@ -146,7 +116,7 @@ class Table:
         word, first = self.first
         cells = [(self.names[column], self.frame[column].iloc[row]) for column in columns]
         shown = [
-            f"{name}={value!r}" if isinstance(value, str) else f"{name}={value}"
+            f"{name}={shorten(repr(value) if isinstance(value, str) else str(value))}"
             for name, value in cells
         ]
         return f"{word} {self.frame.index[row] + first}" + (
@@ -234,10 +204,10 @@ class Table:
         index = np.array([place.get(text, -1) for text in ids])[code]
         if strict and (index < 0).any():
             unknown = ids[code[int(np.flatnonzero(index < 0)[0])]]
-            some = ", ".join(known[:20]) + (f", ... ({len(known)})" if len(known) > 20 else "")
             wrong = self.at(int(np.flatnonzero(index < 0)[0]), column)
             raise self.bad(
-                f"one of {some} in {self.names[column]}; {wrong}{did_you_mean(unknown, known)}"
+                f"one of {listed(known)} in {self.names[column]}; "
+                f"{wrong}{did_you_mean(unknown, known)}"
             )
         return index
 

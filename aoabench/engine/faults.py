@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from aoabench.errors import RunError, UserError, WriteError, shorten
+from aoabench.errors import RunError, UserError, WriteError, printable, shorten
 
 _LESS = "fewer workers (runner.n_jobs) or smaller tasks (runner.chunk) need less memory"
 _FILES = "raise the limit on open files (ulimit -n) or use fewer workers (runner.n_jobs)"
@@ -40,7 +40,7 @@ KEPT = "finished parts are kept, the same command continues from them"
 
 def report(line: str) -> None:
     """Print a line for the user on standard error."""
-    print(f"aoabench: {line}", file=sys.stderr, flush=True)
+    print(f"aoabench: {printable(line)}", file=sys.stderr, flush=True)
 
 
 @contextmanager

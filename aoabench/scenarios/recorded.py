@@ -15,8 +15,9 @@ import numpy as np
 
 from aoabench.devices import log
 from aoabench.devices.anchors import AnchorsFile, read_anchors
+from aoabench.devices.columns import EXISTING
 from aoabench.devices.extent import Thing, check_anchors
-from aoabench.devices.table import EXISTING, Table
+from aoabench.devices.table import Table
 from aoabench.errors import BadValue, check_array
 from aoabench.maths.geometry import Array
 from aoabench.params import param

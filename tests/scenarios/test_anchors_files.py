@@ -94,7 +94,7 @@ BAD = {
     "tilt": ("x_m,y_m,Tilt (deg)\n1,2,90\n", ["'Tilt (deg)'", "call it pitch_deg"]),
     "height": ("x_m,y_m,height_m\n1,2,3\n", ["'height_m'", "call it z_m"]),
     "roll in rad": ("x_m,y_m,roll_rad\n1,2,3\n", ["'roll_rad'", "call it roll_deg"]),
-    "semicolons": ("x_m;y_m\n1;2\n", ["it has x_m;y_m", "separated by commas"]),
+    "semicolons": ("x_m;y_m\n1;2\n", ["it has no names of columns", "separated by commas"]),
     "degrees": ("lat,lon\n60,24\n", ["it has lat, lon", "degrees", "local m"]),
 }  # fmt: skip
 
