@@ -56,7 +56,7 @@ def test_foreign_texts_in_errors_are_escaped(kind, place, here):  # noqa: F811
     if place == "anchors":
         anchors["id"] = [f"{ID}{i}" * 100 for i in range(len(anchors))]
     if place == "log":
-        log.loc[1, "anchor"] = ID
+        log.loc[1, "anchor"] = ID * 1000
     if place in ("column", "name of the log"):
         log = log.rename(columns={"azimuth_deg": f"azimuth{RED}", "x_m": "x_m" * 1000})
     for frame, name in ((log, path), (anchors, f"anchors.{kind}")):
