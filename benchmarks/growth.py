@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from aoabench.cell import Cell
 from aoabench.engine import runner
+from aoabench.engine.block import run_block
 from aoabench.store import tables
-from aoabench.store.folder import read_record, write_record
+from aoabench.store.files import provenance
+from aoabench.store.folder import read_record, record_cell, write_record
+from aoabench.store.keys import draws_key
+from aoabench.store.parts import write_part
 from benchmarks.timing import Row, cell_of
 
 CELLS = 10_000  # of one filter and 2 replications each
@@ -33,6 +37,9 @@ def growth(repeats: int) -> Iterator[Row]:
         seconds = min(_cpu(lambda: runner.run([first], progress=False)) for _ in range(repeats))
         how = f"processor time of a run, without its start and its config; {cells}"
         yield Row(what, "one cell, reused", seconds, "s", "at most 3", how)
+        seconds = _cpu(lambda: _stored(out, first, range(2 * CELLS, 2 * CELLS + NEW)))
+        how = f"processor time of part, record and tables, {NEW} new cells at once; {cells}"
+        yield Row(what, "new cell, stored", 1e3 * seconds / NEW, "ms", "at most 20", how)
         new = [_changed(first, CELLS + i) for i in range(NEW)]
         seconds = _cpu(lambda: runner.run(new, progress=False))
         how = f"processor time of a run of {NEW} new cells, simulation, filter and timing included"
@@ -55,6 +62,18 @@ def _changed(cell: Cell, number: int) -> Cell:
     noise: Any = cell.noise
     changed = replace(noise, sigma_deg=sigma)
     return replace(cell, noise=changed, config=config, swept=("noise.sigma_deg",))
+
+
+def _stored(out: Path, first: Cell, numbers: Iterable[int]) -> None:
+    """Store new cells, each with the results of the first one."""
+    (name,) = first.estimators
+    draws = draws_key(first)
+    block = run_block(first.scenario, first.noise, first.estimators, first.seed, 0, 2)[name]
+    new = [_changed(first, number) for number in numbers]
+    for cell in new:
+        write_part(out, cell.id, 0, 2, block, provenance(cell.config))
+        record_cell(out, cell, {name: cell.id}, draws, {}, {name: 2}, {})
+    tables.collect(out, [cell.id for cell in new])
 
 
 def _fill(out: Path, first: Cell) -> None:
