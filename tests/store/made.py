@@ -39,15 +39,15 @@ def part(out, key, start, stop, fixes=0, machine=None):
 
 
 def cell(out, name, estimators=("ls", "ml"), **parameters):
-    """The record and the parts of a cell with these estimators and 4 replications, in two parts of
-    the first estimator, which has fixes; `parameters` are those of its noise.
+    """The record and the parts of a cell with these estimators and 4 replications of 2 fixes, in two
+    parts of the first estimator; `parameters` are those of its noise.
     """
     entries = {}
     for estimator in estimators:
         key = f"{name}{estimator}"
         two = estimator == estimators[0]
         for start, stop in [(0, 2), (2, 4)] if two else [(0, 4)]:
-            part(out, key, start, stop, fixes=2 * two)
+            part(out, key, start, stop, fixes=2)
         timing = {"seconds_per_step": 1e-6, "seconds_per_replication": 5e-6}
         timing |= {"replications": 1, "steps": 5}
         entries[estimator] = {"key": key, "reps": 4, "steps": False, "timing": timing}

@@ -21,7 +21,9 @@ def whole(tmp_path_factory):
     tables.collect(out)
     made.cell(out, "b", ["ls"], sigma_deg=2.0)
     tables.collect(out, ["b"])
-    return out, read(out)
+    expected = read(out)
+    assert [len(frame) for frame in expected.values()] == [12, 1]
+    return out, expected
 
 
 def read(out):
