@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shlex
@@ -143,12 +144,14 @@ def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, st
     return found
 
 
-def reasons(parts: Iterable[Part], reps: int) -> pd.DataFrame:
+def reasons(parts: Sequence[Part], reps: int) -> pd.DataFrame:
     """Number `n` of the fixes that are not ok in the first `reps` replications of some parts, by
     replication, outcome and reason.
     """
     import pandas as pd
 
+    if not any("reasons" in part.files for part in parts):
+        return _no_reasons()
     columns = schema(KINDS["reasons"])
     found = [columns.empty_table().to_pandas()]
     for file in (part.files["reasons"] for part in parts if "reasons" in part.files):
@@ -156,6 +159,12 @@ def reasons(parts: Iterable[Part], reps: int) -> pd.DataFrame:
     table: pd.DataFrame = pd.concat(found, ignore_index=True)
     table = table.drop_duplicates(["replication", "outcome", "reason"])
     return table[table["replication"] < reps]
+
+
+@functools.cache
+def _no_reasons() -> pd.DataFrame:
+    frame: pd.DataFrame = schema(KINDS["reasons"]).empty_table().to_pandas()
+    return frame
 
 
 def replay_command(

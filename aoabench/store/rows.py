@@ -47,7 +47,7 @@ class CellRows:
         for name in self.entries:
             table = pa.concat_tables(self._full(name, part, "rows") for part in self._noted(name))
             self._check_numbers(name, table["replication"].to_numpy())
-            self._summarise(name, table.to_pandas())
+            self._summarise(name, table)
             tables.append(table)
         self.replications = pa.concat_tables(tables)
 
@@ -101,27 +101,30 @@ class CellRows:
                     for part in self._noted(name, "steps"):
                         writer.write_table(self._full(name, part, "steps"))
 
-    def _summarise(self, name: str, rows: pd.DataFrame) -> None:
+    def _summarise(self, name: str, rows: pa.Table) -> None:
         """Add the estimator's row of the summary and its rows of the failures."""
+        import pyarrow as pa
+
         entry, parts = self.entries[name], self.parts[name]
-        not_ok = bool((rows["n_ok"] < rows["n_fixes"]).any())
+        columns = {n: rows[n].to_numpy() for n in rows.column_names if n not in IDENTITY}
+        not_ok = bool((columns["n_ok"] < columns["n_fixes"]).any())
         reasons: pd.DataFrame | None = None
-        if not rows["reason"].isna().any():
+        if rows["reason"].null_count == 0:
             reasons = folder.reasons(parts if not_ok else [], entry["reps"])
-        self.failures += self._failures(name, rows, parts, reasons)
-        found = summarise(rows, clusters_of(self.out, entry, parts), reasons)
+        failed = columns["n_failed"] > 0
+        if failed.any():
+            mine = rows.filter(pa.array(failed)).to_pandas()
+            self.failures += self._failures(name, mine, parts, reasons)
+        found = summarise(columns, clusters_of(self.out, entry, parts), reasons)
         identity = {**{k: self.row[k] for k in IDENTITY[:4]}, "estimator": name}
         self.summary.append(identity | found)
 
     def _failures(
-        self, name: str, rows: pd.DataFrame, parts: Sequence[Part], reasons: pd.DataFrame | None
+        self, name: str, failed: pd.DataFrame, parts: Sequence[Part], reasons: pd.DataFrame | None
     ) -> list[dict[str, Any]]:
         """Rows of the failures table: one estimator's replications in which a fix failed. `reasons`
         counts the fixes that are not ok; None where unknown.
         """
-        failed = rows[rows["n_failed"] > 0]
-        if failed.empty:
-            return []
         messages = folder.errors(parts, self.entries[name]["reps"])
         why: dict[int, str] = {}
         if reasons is not None:
