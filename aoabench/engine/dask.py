@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import platform
 import sys
@@ -18,6 +19,7 @@ from aoabench.engine.tasks import Loss, Task, kind_of, numbered
 from aoabench.errors import BadValue, RunError, UserError
 from aoabench.roles import PlainEstimator
 from aoabench.store.keys import code_key
+from aoabench.store.lock import check_held
 from aoabench.store.parts import has_part
 
 _TIMEOUT_S = 90  # for a first worker to connect, and for written parts to become visible
@@ -59,7 +61,7 @@ def cluster(options: RunnerOptions, tasks: Sequence[Task]) -> Iterator[Any]:
         raise UserError(
             f"{key}: no scheduler answers at this address ({type(error).__name__})"
         ) from None
-    with client:
+    with _quiet(), client:
         try:  # a scheduler that cannot unpickle a task loses the task
             missing = client.run_on_scheduler(_add_path, sys.path, sorted(_modules(tasks)))
         except ImportError as error:
@@ -72,6 +74,23 @@ def cluster(options: RunnerOptions, tasks: Sequence[Task]) -> Iterator[Any]:
         except TimeoutError:
             raise RunError(f"{key}: no worker has connected within {_TIMEOUT_S} s") from None
         yield _backend()(client=client)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask's remarks and tracebacks off standard error: what ends a run is reported once."""
+
+    def critical(record: logging.LogRecord) -> bool:
+        return record.levelno >= logging.CRITICAL
+
+    handlers = logging.getLogger("distributed").handlers
+    for handler in handlers:
+        handler.addFilter(critical)
+    try:
+        yield
+    finally:
+        for handler in handlers:
+            handler.removeFilter(critical)
 
 
 def _security(options: RunnerOptions) -> Any:
@@ -176,12 +195,13 @@ def compute_remotely(
 def wait_until_seen(task: Task, out: Path) -> None:
     """Wait until the task's parts are visible here, as network file systems show new files late.
 
-    Raises RunError after the timeout.
+    Raises RunError after the timeout, or if the folder is gone.
     """
     deadline = time.monotonic() + _TIMEOUT_S
     while not all(
         has_part(out, key, task.start, task.stop, kind_of(task.cell)) for key in task.keys.values()
     ):
+        check_held(out)
         if time.monotonic() > deadline:
             raise RunError(
                 f"the files that the workers wrote do not appear in {out}: "

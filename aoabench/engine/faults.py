@@ -71,7 +71,9 @@ def _line(error: Exception, out: Path | None) -> str | None:
     if isinstance(error, BrokenExecutor):
         return f"a worker process was killed, perhaps because memory ran out; {_LESS}"
     if package == "distributed":
-        return f"the Dask cluster failed: {type(error).__name__}: {error}"
+        return f"the Dask cluster failed: {_named(error)}"
+    if isinstance(error, ConnectionError) or (isinstance(error, TimeoutError) and not error.errno):
+        return f"the connection to another process or machine failed: {_named(error)}"
     if isinstance(error, OSError):
         return _about_file(error, out)
     if package == "pyarrow":
@@ -93,6 +95,11 @@ def _about_file(error: OSError, out: Path | None) -> str:
     text = _first_line(error)  # Arrow's, with the name of the file
     more = f" ({text})" if text not in (reason, type(error).__name__) else ""
     return f"{_place(out)}a file cannot be read or written: {reason}{more}; {advice}"
+
+
+def _named(error: Exception) -> str:
+    text = _first_line(error)
+    return text if text == type(error).__name__ else f"{type(error).__name__}: {text}"
 
 
 def _place(out: Path | None) -> str:

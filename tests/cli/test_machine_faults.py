@@ -6,6 +6,7 @@ import re
 import time
 from dataclasses import replace
 from pathlib import Path
+from pickle import dumps, loads
 
 import pandas as pd
 import pyarrow as pa
@@ -58,6 +59,20 @@ def failing(monkeypatch):
         monkeypatch.setattr(os, "replace", fails)
 
     return arm
+
+
+def test_an_error_keeps_its_file_on_the_way_from_a_worker():
+    error = loads(dumps(WriteError(5, "Input/output error", "x")))
+    assert (error.errno, error.strerror, error.filename) == (5, "Input/output error", "x")
+
+
+@pytest.mark.parametrize(("error", "words"), [
+    (ConnectionResetError("peer"), "ConnectionResetError: peer"), (TimeoutError(), "TimeoutError"),
+])  # fmt: skip
+def test_a_lost_connection_is_not_called_a_file(error, words):
+    line = f"^the connection to another process or machine failed: {words}$"
+    with pytest.raises(RunError, match=line), explained(Path("here")):
+        raise error
 
 
 def test_any_error_of_the_file_system_is_a_line():

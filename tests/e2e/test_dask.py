@@ -2,6 +2,7 @@
 of a worker.
 """
 
+import logging
 import re
 import shutil
 import signal
@@ -16,6 +17,7 @@ import pytest
 import aoabench
 from aoabench.cli.main import main
 from aoabench.config.compose import compose_cells
+from aoabench.engine import dask as dask_module
 from aoabench.engine import runner
 from aoabench.store import keys
 from aoabench.store.parts import intact_parts
@@ -220,6 +222,17 @@ def test_a_run_on_an_encrypted_cluster(secured, tmp_path):
     far = aoabench.run(*SMALL, *address, *tls_words(own), out=tmp_path / "far")
     near = aoabench.run(*SMALL[1:], "runner.n_jobs=1", out=tmp_path / "near")
     pd.testing.assert_frame_equal(far, near, check_exact=True)
+
+
+def test_dasks_own_remarks_are_kept_off_the_terminal():
+    import distributed  # noqa: F401 - sets up its loggers
+
+    logger = logging.getLogger("distributed.client")
+    record = logger.makeRecord(logger.name, logging.ERROR, "", 0, "lost", (), None)
+    assert logger.handlers
+    with dask_module._quiet():
+        assert not any(handler.filter(record) for handler in logger.handlers)
+    assert all(handler.filter(record) for handler in logger.handlers)
 
 
 def test_a_stranger_is_refused_by_the_cluster(secured, tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 
 import aoabench
 from aoabench.config.compose import compose_cells
-from aoabench.engine import runner, tasks
+from aoabench.engine import dask, runner, tasks
 from aoabench.errors import RunError, UserError
 from aoabench.store.lock import LOCK, locked
 
@@ -193,6 +193,12 @@ def test_a_worker_makes_no_folder_of_its_own(cells, tmp_path):
     with pytest.raises(RunError, match="gone was moved, deleted or replaced during the run"):
         tasks.compute(tasks.Task(cell, {"ls": "key"}, 0, 1), tmp_path / "gone")
     assert not (tmp_path / "gone").exists()
+
+
+def test_nobody_waits_for_parts_in_a_folder_that_is_gone(cells, tmp_path):
+    (cell,) = cells(tmp_path / "gone")
+    with pytest.raises(RunError, match="gone was moved, deleted or replaced during the run"):
+        dask.wait_until_seen(tasks.Task(cell, {"ls": "key"}, 0, 1), tmp_path / "gone")
 
 
 def test_workers_of_a_moved_folder_stop(cells, tmp_path, monkeypatch):
