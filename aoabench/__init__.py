@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from aoabench import loaded  # noqa: F401 - first: it records the modules below
 from aoabench.errors import RunError, UserError
 from aoabench.roles import Estimator, Filter, Measurement, Motion, Noise, Scenario
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome

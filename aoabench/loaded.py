@@ -2,7 +2,7 @@
 
 A module's source is recorded when the module is imported, a data file's digest when the file is
 read. Both may differ from the files on the disk, which can change at any time; keys of results are
-made from these records.
+made from these records. Importing this module starts the recording.
 """
 
 from __future__ import annotations
@@ -212,13 +212,13 @@ class _Loader(SourceFileLoader):
         _sources[name] = Source(path, self.content, digest_of(self.content), certain=True)
         super().exec_module(module)
 
-    def get_data(self, path: str) -> bytes:  # type: ignore[override]
+    def get_data(self, path: str) -> bytes:
         return self.content if self.content and path == self.path else super().get_data(path)
 
     def get_code(self, fullname: str) -> CodeType | None:
         if self.content is None or fullname.partition(".")[0] == "aoabench":
             return super().get_code(fullname)
-        code: CodeType = self.source_to_code(self.content, self.path)  # type: ignore[arg-type]
+        code: CodeType = self.source_to_code(self.content, self.path)
         return code
 
 
@@ -237,11 +237,14 @@ class _Finder:
         return spec
 
 
-def record_imports() -> None:
+def _record_imports() -> None:
     """Record the source of all modules that are imported from now on, and of the running script."""
     if not any(isinstance(f, type) and f.__name__ == _Finder.__name__ for f in sys.meta_path):
-        place = sys.meta_path.index(PathFinder) if PathFinder in sys.meta_path else 0  # type: ignore[comparison-overlap, arg-type]
-        sys.meta_path.insert(place, _Finder)  # type: ignore[arg-type]
+        place = sys.meta_path.index(PathFinder) if PathFinder in sys.meta_path else 0
+        sys.meta_path.insert(place, _Finder)
     for module in ("__main__", __name__, __package__):
         if module in sys.modules:
             source(module)
+
+
+_record_imports()

@@ -14,7 +14,6 @@ from typing import Any
 from aoabench.engine.tasks import Loss, Task, kind_of, numbered
 from aoabench.errors import RunError, UserError
 from aoabench.roles import PlainEstimator
-from aoabench.store.keys import code_key
 from aoabench.store.parts import has_part
 
 _TIMEOUT_S = 90  # for a first worker to connect, and for written parts to become visible
@@ -111,17 +110,17 @@ def _add_path(path: Sequence[str], modules: Sequence[str]) -> str | None:
     return None
 
 
-def compute_remotely(number: int, task: Task, out: Path, code: str) -> tuple[int, dict[str, Loss]]:
+def compute_remotely(number: int, task: Task, out: Path) -> tuple[int, dict[str, Loss]]:
     """Compute a task on a worker, possibly on another machine; return its number and losses.
 
     Raises RunError if the worker's code differs from this run's, or if the worker does not see the
     folder `out`.
     """
     here = platform.node()
-    if code_key(task.cell) != code:
+    for name in task.origin.differences():
         raise RunError(
-            f"the worker on {here} has another version of the code, "
-            "of a plug-in or of a library than this run; install the same versions"
+            f"the worker on {here} has another version of {name} than this run; "
+            "install the same versions of the code, the plug-ins and the libraries, and restart it"
         )
     if not (out / ".lock").exists():
         raise RunError(

@@ -21,8 +21,8 @@ from aoabench.maths import statistics
 from aoabench.store import tables
 from aoabench.store.files import locked
 from aoabench.store.folder import errors, known_timing, record_cell, replay_command, values
-from aoabench.store.keys import draws_key, part_key
-from aoabench.store.parts import Part, examined, intact_parts, missing_ranges
+from aoabench.store.keys import Origin, RunKeys
+from aoabench.store.parts import Part, discard, examined, intact_parts, missing_ranges
 
 _LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
 
@@ -50,30 +50,34 @@ class RunReport:
     precision: tuple[Mapping[str, Any], ...] = ()
 
 
-def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
+def run(cells: Sequence[Cell], progress: bool = True, fresh: bool = False) -> RunReport:
     """Compute the missing parts of all cells and make the tables. The cells share one runner.out.
+    With `fresh`, compute all of their parts and replace the stored ones.
 
-    Raises UserError if the output folder cannot be written, and RunError for an error during the
-    run (a full disk, a killed worker, more failures than allowed). Finished parts are kept and
-    shown in the tables where possible; the same call continues from them.
+    Raises UserError if the output folder cannot be written, or if code or a data file was changed
+    after this process loaded it; RunError for an error during the run (a full disk, a killed
+    worker, more failures than allowed). Finished parts are kept and shown in the tables where
+    possible; the same call continues from them.
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
+    keys = RunKeys.of(cells)  # before the wait for the lock: keys name what is loaded now
+    for line in keys.notes:
+        report(line)
     with explained(out), locked(out, report):
-        return _Run(out, cells, progress).run()
+        return _Run(out, cells, keys, progress, fresh).run()
 
 
 class _Run:
     """One run over cells that share an output folder, whose lock the caller holds."""
 
-    def __init__(self, out: Path, cells: Sequence[Cell], progress: bool) -> None:
+    def __init__(
+        self, out: Path, cells: Sequence[Cell], keys: RunKeys, progress: bool, fresh: bool
+    ) -> None:
         self.out, self.cells, self.progress = out, cells, progress
         self.options = cells[0].runner
-        self.draws = {cell.id: draws_key(cell) for cell in cells}
-        self.keys = {
-            cell.id: {name: part_key(cell, name, self.draws[cell.id]) for name in cell.estimators}
-            for cell in cells
-        }
+        self.draws, self.keys, self.origins = keys.draws, keys.parts, keys.origins
+        self.stale = {key for some in keys.parts.values() for key in some.values() if fresh}
         self.losses: dict[str, Loss] = {}  # by part key
         self.stored: dict[str, int] = {}  # by part key: number of replications
         self.goal: dict[str, int] = {}  # by cell: number of replications to reach next
@@ -139,6 +143,9 @@ class _Run:
             for name, key in self.keys[cell.id].items():
                 if key not in claimed:
                     claimed.add(key)
+                    if key in self.stale:
+                        self.stale.remove(key)
+                        discard(self.out, key)
                     parts, damaged = examined(self.out, key)
                     for file in damaged:
                         report(
@@ -151,7 +158,7 @@ class _Run:
                     done[name] = parts
                 self._check(cell, name)
             if cell.id not in self.stopped:
-                tasks += _tasks(cell, self.keys[cell.id], done, goal)
+                tasks += _tasks(cell, self.keys[cell.id], self.origins[cell.id], done, goal)
         return tasks
 
     def _note(self, task: Task, losses: Mapping[str, Loss]) -> None:
@@ -252,7 +259,11 @@ def merged(cells: Sequence[Cell]) -> list[Cell]:
 
 
 def _tasks(
-    cell: Cell, keys: Mapping[str, str], done: Mapping[str, list[Part]], goal: int
+    cell: Cell,
+    keys: Mapping[str, str],
+    origin: Origin,
+    done: Mapping[str, list[Part]],
+    goal: int,
 ) -> Iterator[Task]:
     """Yield tasks of whole tiles for the missing replications of the estimators in `done` (name ->
     stored parts).
@@ -270,7 +281,7 @@ def _tasks(
         )
         chunk = math.ceil(chunk / tile) * tile
         for first in range(start - start % chunk, stop, chunk):
-            yield Task(cell, names, max(first, start), min(first + chunk, stop))
+            yield Task(cell, names, origin, max(first, start), min(first + chunk, stop))
 
 
 def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:

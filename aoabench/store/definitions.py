@@ -199,9 +199,7 @@ def _uses(nodes: Iterable[ast.stmt]) -> Iterator[Use]:
             todo += ast.iter_child_nodes(node)
 
 
-def _concerns(
-    names: set[str], attributes: set[str]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _concerns(names: set[str], attributes: set[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Why no key can hold everything that code with these names depends on: reasons that stay, and
     those that a list of files removes.
     """

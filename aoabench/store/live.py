@@ -40,7 +40,9 @@ def plain(value: Any, name: str = "value") -> Any:
     type, or attributes that its dataclass does not declare.
     """
     if value is None or isinstance(value, bool | int | float | str | complex | bytes):
-        return value if value is None or isinstance(value, bool | int | float | str) else repr(value)
+        return (
+            value if value is None or isinstance(value, bool | int | float | str) else repr(value)
+        )
     if isinstance(value, enum.Enum | PurePath | re.Pattern | range | slice):
         return repr(value)
     if isinstance(value, np.ndarray | np.generic) and value.dtype != object:
@@ -188,7 +190,9 @@ def _class_changes(place: _Place, node: ast.ClassDef, cls: type) -> Iterator[Any
             _check_unstated(inner, node, _function(value))
         elif literal is not _UNSTATED:
             yield from () if _same(literal, value) else _values(str(inner), value)
-        elif not (name.startswith("__") or name in _MACHINERY or (place.shipped and name in values)):
+        elif not (
+            name.startswith("__") or name in _MACHINERY or (place.shipped and name in values)
+        ):
             yield from _values(str(inner), value)
     if missing := [name for name in stated if name not in vars(cls)]:
         raise _Place(place.module, f"{place.path}.{missing[0]}").replaced()
