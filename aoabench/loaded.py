@@ -12,12 +12,15 @@ import hashlib
 import importlib.util
 import sys
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import CodeType, ModuleType, NoneType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 _LIBRARIES = ("site-packages", "dist-packages")
 _STANDARD = tuple(Path(p) for n in ("stdlib", "platstdlib") if (p := sysconfig.get_path(n)))
@@ -54,7 +57,9 @@ class Source:
         return _digest_now(self.path) != self.digest
 
 
-_sources: dict[str, Source] = {}
+_sources: dict[str, Source] = {}  # as recorded at the import
+_read_later: WeakKeyDictionary[ModuleType, Source] = WeakKeyDictionary()
+_being_read: ContextVar[dict[Path, tuple[bytes, DataFile]]] = ContextVar("being_read")
 _watched = {"aoabench"}  # packages that are recorded even if they are installed libraries
 
 
@@ -63,9 +68,25 @@ def digest_of(content: bytes) -> str:
 
 
 def read(path: Path) -> tuple[bytes, DataFile]:
-    """The content of a data file, and the record of this content."""
-    content = path.read_bytes()
-    return content, DataFile(path.resolve(), digest_of(content))
+    """The content of a data file, and the record of this content; within `reading`, a file is read
+    once.
+    """
+    place, before = path.resolve(), _being_read.get({})
+    if place not in before:
+        content = path.read_bytes()
+        before[place] = content, DataFile(place, digest_of(content))
+    return before[place]
+
+
+@contextmanager
+def reading() -> Iterator[Callable[[], tuple[DataFile, ...]]]:
+    """Yield a function that returns the records of all data files read in this context."""
+    found: dict[Path, tuple[bytes, DataFile]] = {}
+    token = _being_read.set(found)
+    try:
+        yield lambda: tuple(file for _, file in found.values())
+    finally:
+        _being_read.reset(token)
 
 
 def watch(packages: Iterable[str]) -> None:
@@ -77,19 +98,19 @@ def source(module: str) -> Source | None:
     """The source of a module as imported, or as it is now if it is not imported yet; None for one
     without a source file of its own, such as a compiled extension.
     """
-    path = source_path(module)
-    known = _sources.get(module)
-    if known and (path is None or known.path == path):
-        return known
+    path, live = source_path(module), sys.modules.get(module)
     if path is None:
         return None
+    known = _sources.get(module) if live is None else _read_later.get(live) or _sources.get(module)
+    if known and known.path == path:
+        return known
     try:
         content = path.read_bytes()
     except OSError:
         return None
     found = Source(path, content, digest_of(content), certain=False)
-    if module in sys.modules:
-        _sources[module] = found
+    if live is not None:
+        _read_later[live] = found
     return found
 
 
@@ -98,15 +119,16 @@ def source_path(module: str) -> Path | None:
     if module == "__main__":
         name = vars(sys.modules["__main__"]).get("__file__")
         return Path(name).resolve() if name and Path(name).is_file() else None
-    origin = getattr(spec_of(module), "origin", None)
+    spec = spec_of(module)
+    origin = spec.origin if spec else None
     return Path(origin) if origin and origin.endswith(".py") else None
 
 
 def spec_of(module: str) -> ModuleSpec | None:
     """The module's place on the import path; None if it cannot be found."""
-    loaded = sys.modules.get(module)
-    if loaded is not None and getattr(loaded, "__spec__", None) is not None:
-        return loaded.__spec__
+    live = sys.modules.get(module)
+    if live is not None and live.__spec__ is not None:
+        return live.__spec__
     return _found(module, tuple(sys.path))
 
 
@@ -150,19 +172,18 @@ def differs_from_source(module: str, code: CodeType) -> bool:
 
     Only for modules whose source was not recorded at the import itself.
     """
-    known = _sources.get(module)
-    spec = spec_of(module)
-    ordinary = module == "__main__" or isinstance(getattr(spec, "loader", None), SourceFileLoader)
-    if known is None or known.certain or not ordinary:
-        return False
+    known = source(module)
+    spec = None if module == "__main__" else spec_of(module)
+    loader = spec.loader if spec else None
+    if known is None or known.certain or not isinstance(loader, SourceFileLoader | NoneType):
+        return False  # pytest's loader, for one, changes functions
     place = code.co_qualname, code.co_firstlineno
-    return _codes(module, known.digest).get(place) != _essence(code)
+    return _codes(known).get(place) != _essence(code)
 
 
 @functools.lru_cache(maxsize=64)
-def _codes(module: str, _digest: str) -> dict[tuple[str, int], Any]:
+def _codes(known: Source) -> dict[tuple[str, int], Any]:
     """All functions of a module's source, by qualified name and first line."""
-    known = _sources[module]
     found: dict[tuple[str, int], Any] = {}
     todo = [compile(known.content, str(known.path), "exec", dont_inherit=True)]
     while todo:

@@ -11,10 +11,13 @@ import csv
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO, TextIOWrapper
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aoabench import loaded
 from aoabench.errors import BadValue, did_you_mean
 from aoabench.maths.geometry import Array
 
@@ -32,14 +35,18 @@ def header(key: str, path: object) -> list[str]:
         if parquet:
             import pyarrow.parquet as pq
 
-            return list(pq.read_schema(path).names)
-        with open(str(path), encoding="utf-8-sig", newline="") as file:
+            return list(pq.read_schema(BytesIO(_content(path))).names)
+        with TextIOWrapper(BytesIO(_content(path)), encoding="utf-8-sig", newline="") as file:
             found = [name.strip() for name in next(csv.reader(file), [])]
     except (OSError, ValueError, csv.Error) as error:
         raise BadValue(key, path, f"a readable {_KINDS}; {_reason(error)}") from None
     if not any(found):
         raise BadValue(key, path, f"a {_KINDS} whose first line names its columns; line 1 is empty")
     return found
+
+
+def _content(path: object) -> bytes:
+    return loaded.read(Path(str(path)))[0]
 
 
 _KINDS = "CSV file in UTF-8 (.csv) or Parquet file (.parquet)"
@@ -99,7 +106,9 @@ class Table:
         import pandas as pd
         import pyarrow.parquet as pq
 
-        found = pq.read_table(path, columns=list(dict.fromkeys(names.values()))).to_pandas()
+        found = pq.read_table(
+            BytesIO(_content(path)), columns=list(dict.fromkeys(names.values()))
+        ).to_pandas()
         columns = {ours: found[theirs] for ours, theirs in names.items()}
         return Table(key, path, names, pd.DataFrame(columns).reset_index(drop=True), ("row", 1))
 
@@ -112,7 +121,7 @@ class Table:
         texts = {place for ours, place in places.items() if ours in TEXTS} | {beyond}
         empty: dict[Any, list[str]] = {p: [""] if p in texts else EMPTY for p in range(beyond + 1)}
         found = pd.read_csv(
-            path,
+            BytesIO(_content(path)),
             header=None,
             skiprows=1,
             names=range(beyond + 1),

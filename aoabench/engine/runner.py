@@ -25,11 +25,7 @@ from aoabench.store.keys import Origin, RunKeys
 from aoabench.store.parts import Part, discard, examined, intact_parts, missing_ranges
 
 _LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
-
-
 _FEW = 100  # replications; cells with fewer are timed once, others up to three times
-
-
 _GIVE_UP_AFTER = 100  # replications; a cell stops if at least this many have all failed
 
 

@@ -227,7 +227,7 @@ class _Bare(ast.NodeTransformer):
         return self.visit_ClassDef(node)
 
     def visit_ClassDef(self, node: ast.AST) -> ast.AST:
-        first = node.body[0]  # type: ignore[attr-defined]
+        first = next(iter(node.body), None)  # type: ignore[attr-defined]
         if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
             node.body = node.body[1:]  # type: ignore[attr-defined]
         return self.generic_visit(node)

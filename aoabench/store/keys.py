@@ -146,8 +146,8 @@ class _Keys:
         files = self._files_of(obj, node)
         vouched = _cache_key(obj)
         reasons = code.unseen if vouched is None else ()
-        if not files and vouched is None:
-            reasons += code.reads
+        if vouched is None and not any(map(_stated_files, _parts(obj))):
+            reasons += tuple(r for r in code.reads if not files or "__file__" in r)
         unique = self._unique(name, reasons[0]) if reasons else None
         return [code.digest, code.reach.libraries, [f.digest for f in files], vouched, unique]
 
@@ -181,7 +181,7 @@ class _Keys:
         """The data files of an object: those that it names, and those that its parameters name."""
         found: dict[Path, DataFile] = {}
         for one in _parts(obj):
-            for file in _files(one):
+            for file in _stated_files(one):
                 known = file if isinstance(file, DataFile) else self._read(Path(file))
                 found[known.path] = known
         texts = _texts(node) if node is not None else (t for o in _parts(obj) for t in _fields(o))
@@ -245,7 +245,7 @@ def _cache_key(obj: Any) -> Any:
         raise UserError(f"{error}; allowed: numbers, texts, arrays, lists of them") from None
 
 
-def _files(obj: Any) -> Iterable[Path | DataFile]:
+def _stated_files(obj: Any) -> Iterable[Path | DataFile]:
     return obj.files if isinstance(obj, CheckedParams) else ()
 
 

@@ -27,7 +27,10 @@ from aoabench.errors import UserError
 from aoabench.store.reach import Reach
 
 _UNSTATED = object()
-_HARMLESS = (types.ModuleType, logging.Logger, types.GenericAlias, types.MemberDescriptorType)
+_FIELD = type(NamedTuple("_Pair", [("first", int)]).first)  # how a named tuple keeps a field
+_HARMLESS = (
+    *(types.ModuleType, types.GenericAlias, types.MemberDescriptorType, logging.Logger, _FIELD),
+)
 _MACHINERY = ("_abc_impl", "_fields", "_field_defaults", "_is_protocol")  # Python's own
 
 
@@ -91,7 +94,8 @@ def _importable(value: Any, name: str) -> str:
     module, path = function.__module__, function.__qualname__
     found: Any = sys.modules.get(module)
     for part in path.split("."):
-        found = vars(found).get(part, _UNSTATED) if hasattr(found, "__dict__") else _UNSTATED
+        known = isinstance(found, type | types.ModuleType)
+        found = vars(found).get(part, _UNSTATED) if known else _UNSTATED
     if found is not value and _function(found) is not function:
         raise NotPlain(f"{name} is {path}, which cannot be imported from {module} by its name")
     return f"{module}.{path}"
@@ -206,6 +210,8 @@ def _check_function(place: _Place, node: Any, value: Any) -> None:
     if node.decorator_list and isinstance(function, types.FunctionType):
         function = inspect.unwrap(function)
     if not isinstance(function, types.FunctionType):
+        if type(function).__module__.startswith("numba."):
+            return  # one of numba's own kinds, which keeps no function
         raise place.replaced()
     code = function.__code__
     lines = {node.lineno, *(d.lineno for d in node.decorator_list)}
@@ -246,16 +252,16 @@ def _values(where: str, value: Any) -> Iterator[Any]:
 
 def _targets(node: ast.stmt) -> list[str]:
     """The single names that an assignment binds."""
-    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    targets = node.targets if isinstance(node, ast.Assign) else []
+    targets = [node.target] if isinstance(node, ast.AnnAssign) else targets
     return [t.id for t in targets if isinstance(t, ast.Name)]
 
 
 def _literal(node: ast.stmt) -> Any:
     """The value of an assignment of a literal to one name; _UNSTATED for any other."""
-    value = getattr(node, "value", None)
-    if not isinstance(node, ast.Assign | ast.AnnAssign) or value is None or not _targets(node):
-        return _UNSTATED
-    return _literal_of(value)
+    if isinstance(node, ast.Assign | ast.AnnAssign) and node.value and _targets(node):
+        return _literal_of(node.value)
+    return _UNSTATED
 
 
 def _literal_of(node: ast.expr) -> Any:
