@@ -43,12 +43,11 @@ class Finished:
 
 def finished(report: RunReport, cells: Sequence[Cell]) -> Finished:
     """Read the tables of a run, without the cells and estimators that other commands computed."""
-    import pandas as pd
+    from aoabench.store import tables
 
-    out = report.out
-    summary = _asked(pd.read_parquet(out / "summary.parquet"), cells)
+    shown = tables.shown(report.out, "summary", "failures")
+    summary, failures = (_asked(shown[name], cells) for name in ("summary", "failures"))
     parameters = [c for c in summary.columns if c not in SUMMARY]
-    failures = _asked(pd.read_parquet(out / "failures.parquet"), cells)
     return Finished(
         report=report,
         cells={cell.id: cell for cell in cells},

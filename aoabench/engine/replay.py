@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
 from aoabench.config.plugins import construct, import_plugins
@@ -17,7 +16,6 @@ from aoabench.engine.tiles import Draws, tile_of, try_tile
 from aoabench.errors import UserError, did_you_mean
 from aoabench.roles import Scenario
 from aoabench.store import folder
-from aoabench.store.files import schema_version
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
 
@@ -94,25 +92,25 @@ def replay(
         batch=batch.of(i),
         truth=truth[i : i + 1],
         rmse_3d_m=float(rmse),
-        stored_m=_stored(run, record["cell"], estimator, replication),
+        stored_m=_stored(run, record["estimators"][estimator]["key"], replication),
         error=errors.get(replication, ""),
     )
 
 
 def _record(run: Path, cell: str | None) -> dict[str, Any]:
     """The record of one cell of the run; UserError if the run or the cell does not exist."""
-    records = {r["cell"]: r for r in folder.records(run)} if (run / "cells").is_dir() else {}
-    if not records:
+    cells = list(folder.record_files(run))
+    if not cells:
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
-    if cell is None and len(records) > 1:
-        raise UserError(f"--cell: this run has several cells; allowed: {', '.join(records)}")
-    chosen = cell or next(iter(records))
-    if chosen not in records:
+    if cell is None and len(cells) > 1:
+        raise UserError(f"--cell: this run has several cells; allowed: {', '.join(cells)}")
+    chosen = cell or cells[0]
+    if chosen not in cells:
         raise UserError(
-            f"--cell={chosen}: not in this run{did_you_mean(chosen, records)}; "
-            f"allowed: {', '.join(records)}"
+            f"--cell={chosen}: not in this run{did_you_mean(chosen, cells)}; "
+            f"allowed: {', '.join(cells)}"
         )
-    return records[chosen]
+    return folder.read_record(run / "cells" / f"{chosen}.json")
 
 
 def _preset(record: Mapping[str, Any], estimator: str, replication: int) -> Any:
@@ -128,13 +126,9 @@ def _preset(record: Mapping[str, Any], estimator: str, replication: int) -> Any:
     return presets[estimator]
 
 
-def _stored(run: Path, cell: str, estimator: str, replication: int) -> float:
-    """The 3-D RMSE in m that the run's tables hold."""
-    path = run / "replications.parquet" / f"{cell}.parquet"
-    schema_version(path)
-    rows = pd.read_parquet(path)
-    mine = (rows["estimator"] == estimator) & (rows["replication"] == replication)
-    return float(rows.loc[mine, "rmse_3d_m"].iloc[0])
+def _stored(run: Path, key: str, replication: int) -> float:
+    """The 3-D RMSE in m that the run stored."""
+    return folder.value(run, key, "rmse_3d_m", replication)
 
 
 def _estimated(truth: np.ndarray, estimates: Estimates, i: int) -> dict[str, np.ndarray]:

@@ -18,9 +18,9 @@ from aoabench.engine.timing import time_estimators
 from aoabench.engine.workers import compute_all, cores
 from aoabench.errors import RunError
 from aoabench.maths import statistics
-from aoabench.store import tables
+from aoabench.store import index, tables
 from aoabench.store.files import locked
-from aoabench.store.folder import errors, known_timing, record_cell, replay_command, values
+from aoabench.store.folder import errors, record_cell, replay_command, values
 from aoabench.store.keys import Origin, RunKeys
 from aoabench.store.parts import Part, discard, examined, intact_parts, missing_ranges
 
@@ -85,6 +85,7 @@ class _Run:
     def run(self) -> RunReport:
         """Compute all cells and make the tables; RunError if a cell was stopped."""
         begin = time.perf_counter()
+        index.read(self.out, self.keys)  # raises before anything is computed
         until = self.options.until
         running = list(self.cells)
         for count in until.counts if until else [None]:
@@ -207,7 +208,7 @@ class _Run:
 
     def _tabulate(self) -> int:
         """Make the tables and measure times; return the number of estimator-replications shown."""
-        known, shown = known_timing(self.out), 0
+        known, shown = index.read(self.out, self.keys).timing(), 0
         for cell in self.cells:
             keys = self.keys[cell.id]
             reps = dict.fromkeys(keys, self.goal[cell.id])

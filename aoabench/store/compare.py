@@ -74,17 +74,17 @@ def compare(
     """
     import pandas as pd
 
-    frame = _replications(run, baseline, metric)
+    shown = tables.shown(run, "tidy", "cells", "summary")
+    frame = _replications(shown["tidy"], baseline, metric)
     fixed = {*REPLICATIONS, "seed", FAILURES}
     varied = [c for c in frame.columns if c not in fixed and frame[c].nunique(dropna=False) > 1]
-    order = pd.read_parquet(Path(run) / "cells.parquet", columns=["cell"])["cell"]
     by_cell = dict(list(frame.groupby("cell")))
-    summary = pd.read_parquet(Path(run) / "summary.parquet", columns=["cell", "se_by"])
+    summary = shown["summary"]
     shared = set(summary["cell"][summary["se_by"] == "position"])
     rows: list[tuple[dict[str, Any], Comparison]] = []
     left_out: dict[str, str] = {}  # cells without a comparison, and why
     unprinted: list[float] = []  # p-values of the other pairs, where the data pick the baseline
-    for cell in order:
+    for cell in shown["cells"]["cell"]:
         mine = by_cell[cell]
         names = mine["estimator"].unique()
         if len(names) < 2 or (baseline is not None and baseline not in names):
@@ -112,11 +112,10 @@ def compare(
     return table
 
 
-def _replications(run: str | os.PathLike[str], baseline: str | None, metric: str) -> pd.DataFrame:
-    """The replications of a run, with a column for failures; UserError for an unknown metric or
-    baseline.
+def _replications(frame: pd.DataFrame, baseline: str | None, metric: str) -> pd.DataFrame:
+    """The replications of a run (see `tables.load`), with a column for failures; UserError for an
+    unknown metric or baseline.
     """
-    frame = tables.load(run)
     if metric not in METRICS:
         hint = did_you_mean(metric, METRICS) or f"; allowed: {', '.join(METRICS)}"
         raise UserError(f"metric={metric}: no such metric{hint}")

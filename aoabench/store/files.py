@@ -21,10 +21,13 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 from aoabench.columns import IDENTITY, SCHEMA
-from aoabench.errors import UserError
+from aoabench.errors import RunError, UserError
 from aoabench.resources import version
 
 _SCHEMA = b"aoabench_schema"
+STALE_S = 3600.0  # age of a file that no process is writing any more
+_LARGE = 2**20  # bytes of a table that threads read faster
+WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
 
 
 def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = None) -> pa.Schema:
@@ -135,7 +138,7 @@ def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> s
 
     def write(temporary: Path) -> None:
         nonlocal checksum
-        pq.write_table(table, temporary, compression="zstd")
+        pq.write_table(table, temporary, **WRITING)
         checksum = file_checksum(temporary)
 
     write_atomically(path, write)
@@ -166,7 +169,7 @@ def write_frame(
         fixed = {field.name: field for field in schema(columns)}
         table = table.cast(pa.schema([fixed.get(field.name, field) for field in table.schema]))
     table = table.replace_schema_metadata(meta)
-    write_atomically(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+    write_atomically(path, lambda temporary: pq.write_table(table, temporary, **WRITING))
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
@@ -177,14 +180,12 @@ def read_provenance(path: Path) -> dict[str, Any]:
     return json.loads(text) if text else {}
 
 
-def schema_version(path: Path) -> int:
-    """The version of the schema of a run's table: columns.SCHEMA or an earlier one.
+def version_in(metadata: Mapping[bytes, bytes] | None, path: Path) -> int:
+    """The version of the schema in a table's metadata: columns.SCHEMA or an earlier one.
 
     Raises UserError for a version that this aoabench does not know.
     """
-    import pyarrow.parquet as pq
-
-    text = (pq.read_schema(path).metadata or {}).get(_SCHEMA, b"1").decode(errors="replace")
+    text = (metadata or {}).get(_SCHEMA, b"1").decode(errors="replace")
     if text.isdecimal() and 1 <= int(text) <= SCHEMA:
         return int(text)
     raise UserError(
@@ -193,5 +194,66 @@ def schema_version(path: Path) -> int:
     )
 
 
+def read_table(
+    path: Path, schema: pa.Schema | None = None, columns: list[str] | None = None
+) -> pa.Table:
+    """The table in a Parquet file; with `schema`, that of a run's table, whose columns of another
+    version that the file lacks are null. Raises as `table_of` does.
+    """
+    return table_of(path.read_bytes(), path, schema, columns)
+
+
+def table_of(
+    data: bytes, path: Path, schema: pa.Schema | None = None, columns: list[str] | None = None
+) -> pa.Table:
+    """The table in the bytes of a Parquet file (see `read_table`), its pages' checksums verified.
+
+    Raises RunError if they are torn or altered, and UserError for an unknown schema.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with _torn_reported(path):
+        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        names = file.schema_arrow.names
+        wanted = columns or (names if schema is None else schema.names)
+        known = [name for name in wanted if name in names]
+        table = file.read(known, use_threads=len(data) > _LARGE)
+        version_in(table.schema.metadata, path)
+        if schema is None:
+            return table
+        fields = [schema.field(name) for name in wanted]
+        found = [
+            table[f.name].cast(f.type) if f.name in known else pa.nulls(len(table), f.type)
+            for f in fields
+        ]
+        return pa.table(found, schema=pa.schema(fields, metadata=schema.metadata))
+
+
+@contextlib.contextmanager
+def _torn_reported(source: Any) -> Iterator[None]:
+    """Turn an error of Arrow in what is not a whole Parquet file into a RunError."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise RunError(f"{source} is torn or altered, or no Parquet file") from None
+
+
+def rows_of(data: bytes) -> int:
+    """The number of rows in the bytes of a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    return int(pq.read_metadata(pa.BufferReader(data)).num_rows)
+
+
+def checksum_of(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
+
+
 def file_checksum(path: Path) -> str:
-    return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
+    return checksum_of(path.read_bytes())

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aoabench.errors import UserError
-from aoabench.store.parts import intact_parts
+from aoabench.store.folder import noted_parts
+from aoabench.store.index import entry_of
+from aoabench.store.parts import Part, intact_parts
 from aoabench.store.summary import Clusters, position_sums
 from aoabench.types import Outcome
 
 if TYPE_CHECKING:
     import pyarrow as pa
-from aoabench.store.folder import noted_parts, read_record
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,12 @@ _FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", 
 
 def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
     """Fixes of one estimator in one cell of the run in `out`; UserError if none are stored."""
-    entry = read_record(Path(out) / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
-    found = (
-        [] if entry is None else [_fixes(part) for part in noted_parts(Path(out), entry, "fixes")]
-    )
+    root = Path(out)
+    entry = entry_of(root, cell, estimator)
+    parts = [] if entry is None else intact_parts(root, entry["key"])
+    found: list[Fixes] = []
+    if entry is not None and (not parts or any("fixes" in part.files for part in parts)):
+        found = [_fixes(part) for part in noted_parts(root, entry, "fixes", parts=parts)]
     if not found:
         raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r} are stored")
     each = {f.name: [getattr(one, f.name) for one in found] for f in fields(Fixes)}
@@ -82,16 +85,27 @@ def clusters(
     """Return the sums per true position over the `replications` (None: all) of one estimator in one
     cell, read part by part; None if the replications do not share their positions.
     """
-    import pyarrow as pa
-
     root = Path(out)
-    entry = read_record(root / "cells" / f"{cell}.json").get("estimators", {}).get(estimator)
-    if entry is None or not intact_parts(root, entry["key"], "fixes"):
+    entry = entry_of(root, cell, estimator)
+    if entry is None:
         return None
     wanted = None if replications is None else np.fromiter(replications, dtype=np.int64)
+    return clusters_of(root, entry, intact_parts(root, entry["key"]), wanted)
+
+
+def clusters_of(
+    out: Path, entry: Mapping[str, Any], parts: Sequence[Part], wanted: np.ndarray | None = None
+) -> Clusters | None:
+    """The sums of `clusters` from the intact parts of a recorded estimator; `wanted` (N,) are the
+    numbers of the replications.
+    """
+    import pyarrow as pa
+
+    if not any("fixes" in part.files for part in parts):
+        return None
     total: Clusters | None = None
     place: np.ndarray | None = None
-    for part in noted_parts(root, entry, "fixes", ["replication", *_FOR_SUMS]):
+    for part in noted_parts(out, entry, "fixes", ["replication", *_FOR_SUMS], parts):
         if wanted is not None:
             part = part.filter(pa.array(np.isin(part["replication"].to_numpy(), wanted)))
             if len(part) == 0:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import json
+import os
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,8 @@ import numpy as np
 from aoabench.cell import Cell
 from aoabench.columns import IDENTITY, KINDS
 from aoabench.errors import RunError
-from aoabench.store.files import provenance, schema, schema_version, write_atomically
+from aoabench.store.documents import FORMAT, read_document, write_document
+from aoabench.store.files import provenance, read_table, schema
 from aoabench.store.parts import Part, intact_parts
 
 if TYPE_CHECKING:
@@ -39,7 +41,8 @@ def record_cell(
     Estimators recorded earlier stay if they saw the same draws; those of an older simulation are
     dropped, because they must not be paired with the new ones.
     """
-    before = read_record(out / "cells" / f"{cell.id}.json")
+    path = out / "cells" / f"{cell.id}.json"
+    stored = before = read_record(path) if path.exists() else {}
     if before.get("draws") != draws:
         before = {"experiment": before.get("experiment")}
     entries = dict(before.get("estimators", {}))
@@ -63,75 +66,105 @@ def record_cell(
         "config": config,
         "estimators": entries,
         "plugins": list(cell.plugins),
-        "provenance": provenance(),
     }
-    if entries:
-        write_record(out, record)
+    if entries and not _same(record, stored):
+        write_record(out, {**record, "provenance": provenance()})
+
+
+def _same(record: Mapping[str, Any], stored: Mapping[str, Any]) -> bool:
+    """Whether a stored record of this format says the same, its provenance apart."""
+    content = {k: v for k, v in stored.items() if k != "provenance"}
+    return bool(content == json.loads(json.dumps({"format": FORMAT, **record}, default=str)))
 
 
 def write_record(out: Path, record: Mapping[str, Any]) -> None:
-    text = json.dumps(record, indent=1, default=str)
-    write_atomically(
-        out / "cells" / f"{record['cell']}.json", lambda t: t.write_text(text, encoding="utf-8")
-    )
+    write_document(out / "cells" / f"{record['cell']}.json", record)
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """A cell's record; {} if the file is missing, torn or names files in another folder."""
-    with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
-        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        keys = [entry["key"] for entry in record.get("estimators", {}).values()]
-        if record["cell"] == path.stem and all(key.isalnum() for key in keys):
-            return record
-    return {}
+    """A cell's record. Raises RunError if the file is missing, torn or altered, or names files in
+    another folder.
+    """
+    try:
+        record = read_document(path)
+        good = record["cell"] == path.stem and _sound(record)
+    except FileNotFoundError:
+        raise RunError(f"{path} is missing; run the same command again") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        good = False
+    if not good:
+        raise RunError(
+            f"{path} is torn or altered; delete it and run the command of its cell again: finished "
+            "parts are kept"
+        )
+    return record
+
+
+def _sound(record: Mapping[str, Any]) -> bool:
+    """Whether a record has what the tables need, each of its type."""
+    entries = record["estimators"].values()
+    names = [record[k] for k in ("scenario", "noise")]
+    return (
+        all(isinstance(name, str) for name in names)
+        and isinstance(record["experiment"], str | None)
+        and all(isinstance(record[k], dict) for k in ("config", "changed", "provenance"))
+        and all(isinstance(name, str) for name in (*record["swept"], *record.get("plugins", ())))
+        and "seed" in record
+        and all(entry["key"].isalnum() and type(entry["reps"]) is int for entry in entries)
+        and all(entry["reps"] > 0 and type(entry["steps"]) is bool for entry in entries)
+    )
+
+
+def record_files(out: Path) -> dict[str, os.stat_result]:
+    """The files of the cells' records: cell -> status of its file, in the order of the cells'
+    names.
+    """
+    try:
+        with os.scandir(out / "cells") as found:
+            files = {e.name: e.stat() for e in found if e.name.endswith(".json")}
+    except FileNotFoundError:
+        return {}
+    return {name.removesuffix(".json"): files[name] for name in sorted(files) if name[0] != "."}
 
 
 def records(out: Path) -> list[dict[str, Any]]:
-    """The records of all cells, in the order of the cells' names."""
-    found = [read_record(path) for path in sorted((out / "cells").glob("*.json"))]
-    return [record for record in found if record]
-
-
-def known_timing(out: Path) -> dict[str, Any]:
-    """Timings recorded so far, by part key."""
-    return {
-        e["key"]: e["timing"]
-        for r in records(out)
-        for e in r["estimators"].values()
-        if e.get("timing")
-    }
+    """The records of all cells, in the order of the cells' names; RunError as in `read_record`."""
+    return [read_record(out / "cells" / f"{cell}.json") for cell in record_files(out)]
 
 
 def errors(parts: Iterable[Part], reps: int, lost: bool = False) -> dict[int, str]:
     """Error messages of the first `reps` replications of some parts, by number; with `lost`, only
     of replications without any position.
     """
-    import pyarrow.parquet as pq
-
     found: dict[int, str] = {}
     for file in (part.files["failures"] for part in parts if "failures" in part.files):
-        schema_version(file)
-        for row in pq.read_table(file, schema=schema(KINDS["failures"])).to_pylist():
+        for row in read_table(file, schema(KINDS["failures"])).to_pylist():
             if row["replication"] < reps and (row["lost"] or not lost):
                 found[row["replication"]] = row["error"]
     return found
 
 
-def reasons(parts: Iterable[Part], reps: int) -> pd.DataFrame:
+def reasons(parts: Sequence[Part], reps: int) -> pd.DataFrame:
     """Number `n` of the fixes that are not ok in the first `reps` replications of some parts, by
     replication, outcome and reason.
     """
     import pandas as pd
-    import pyarrow.parquet as pq
 
+    if not any("reasons" in part.files for part in parts):
+        return _no_reasons()
     columns = schema(KINDS["reasons"])
     found = [columns.empty_table().to_pandas()]
     for file in (part.files["reasons"] for part in parts if "reasons" in part.files):
-        schema_version(file)
-        found.append(pq.read_table(file, schema=columns).to_pandas())
+        found.append(read_table(file, columns).to_pandas())
     table: pd.DataFrame = pd.concat(found, ignore_index=True)
     table = table.drop_duplicates(["replication", "outcome", "reason"])
     return table[table["replication"] < reps]
+
+
+@functools.cache
+def _no_reasons() -> pd.DataFrame:
+    frame: pd.DataFrame = schema(KINDS["reasons"]).empty_table().to_pandas()
+    return frame
 
 
 def replay_command(
@@ -167,27 +200,42 @@ def values(out: Path, key: str, column: str, reps: int) -> np.ndarray:
     return np.concatenate([part[column].to_numpy() for part in parts])
 
 
+def value(out: Path, key: str, column: str, replication: int) -> float:
+    """One replication's value in a column of a part key; RunError if it is missing."""
+    for part in intact_parts(out, key):
+        if part.start <= replication < part.stop:
+            rows = read_table(part.files["rows"], schema(KINDS["rows"]), ["replication", column])
+            at = rows["replication"].to_pylist().index(replication)
+            return float(rows[column][at].as_py())
+    raise RunError(
+        f"{out}: replication {replication} of part {key} is missing; run the same command again"
+    )
+
+
 def noted_parts(
-    out: Path, entry: Mapping[str, Any], kind: str, columns: list[str] | None = None
+    out: Path,
+    entry: Mapping[str, Any],
+    kind: str,
+    columns: list[str] | None = None,
+    parts: Sequence[Part] | None = None,
 ) -> Iterator[pa.Table]:
     """The parts of one recorded estimator as tables, cut to its replications 0 ... reps-1, in
-    order; `columns`, which include `replication`, are all if None.
+    order; `columns`, which include `replication`, are all if None. `parts` are its intact parts,
+    where they are known.
 
     Columns that parts of an earlier schema lack are null. Raises RunError if replications are
     missing, and UserError for parts of an unknown schema.
     """
     import pyarrow.compute as pc
-    import pyarrow.parquet as pq
 
     inner = schema({n: type_ for n, type_ in KINDS[kind].items() if n not in IDENTITY})
     position = 0
-    for found in intact_parts(out, entry["key"], kind):
-        if found.stop <= position or found.start >= entry["reps"]:
+    for found in intact_parts(out, entry["key"]) if parts is None else parts:
+        if kind not in found.files or found.stop <= position or found.start >= entry["reps"]:
             continue
         if found.start > position:
             break
-        schema_version(found.files[kind])
-        part = pq.read_table(found.files[kind], schema=inner, columns=columns)
+        part = read_table(found.files[kind], inner, columns)
         number = part["replication"]
         keep = pc.and_(pc.greater_equal(number, position), pc.less(number, entry["reps"]))
         position = found.stop

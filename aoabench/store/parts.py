@@ -3,7 +3,8 @@
     <out>/parts/<key>/<start>-<stop>.<kind>.<unique>.parquet
         rows (or steps, or fixes) of one estimator in one cell, provenance as metadata
     <out>/parts/<key>/<start>-<stop>.json
-        checksum file: file names and checksums; without a matching one the part is computed again
+        checksum file: key, replications, machine, and of each kind the file's name, checksum and
+        number of rows; without a matching one the part is computed again
     <out>/parts/<key>/<start>-<stop>.json.damaged
         a checksum file that did not match its files
 
@@ -14,7 +15,7 @@ parts.
 
 from __future__ import annotations
 
-import json
+import re
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,16 +23,21 @@ from pathlib import Path
 from typing import Any
 
 from aoabench.columns import IDENTITY, KINDS
-from aoabench.store.files import file_checksum, schema, write_atomically, write_table
+from aoabench.store.documents import read_document, write_document
+from aoabench.store.files import file_checksum, schema, write_table
 
 
 @dataclass(frozen=True)
 class Part:
-    """Replications start..stop-1 of one estimator, and its file of each kind (see KINDS)."""
+    """Replications start..stop-1 of one estimator, and its file of each kind (see KINDS).
+
+    machine: the processor and libraries that computed it, by name; None if unknown.
+    """
 
     start: int
     stop: int
     files: Mapping[str, Path]
+    machine: Mapping[str, str] | None = None
 
 
 def write_part(
@@ -41,46 +47,90 @@ def write_part(
     stop: int,
     block: Mapping[str, Mapping[str, Any]],
     origin: Mapping[str, Any],
+    machine: Mapping[str, str] | None = None,
 ) -> None:
     """Write one estimator's results of a block, a table for each kind.
 
     Each file gets a unique name; the checksum file <start>-<stop>.json, written last, lists them
     with their checksums and makes the part valid. So two processes that write the same part do not
-    mix.
+    mix. `machine` names the processor and libraries that computed the block (see Part).
     """
-    folder, span = out / "parts" / key, f"{start:09d}-{stop:09d}"
-    written = {}
+    folder, span = out / "parts" / key, _span(start, stop)
+    kinds = {}
     for kind, content in block.items():
         path = folder / f"{span}.{kind}.{uuid.uuid4().hex[:8]}.parquet"
         inner = {name: type_ for name, type_ in KINDS[kind].items() if name not in IDENTITY}
-        written[kind] = [path.name, write_table(path, content, schema(inner, origin))]
-    text = json.dumps(written)
-    write_atomically(
-        folder / f"{span}.json", lambda temporary: temporary.write_text(text, encoding="utf-8")
-    )
+        checksum = write_table(path, content, schema(inner, origin))
+        rows = len(content["replication"])
+        kinds[kind] = {"file": path.name, "checksum": checksum, "rows": rows}
+    content = {"key": key, "start": start, "stop": stop, "kinds": kinds, "machine": machine}
+    write_document(folder / f"{span}.json", content)
+
+
+def _span(start: int, stop: int) -> str:
+    return f"{start:09d}-{stop:09d}"
 
 
 def _verified(checksums: Path) -> Part | None:
-    """The part of a checksum file; None if the checksum file is torn, altered or does not match."""
+    """The part of a checksum file; None if the checksum file is torn, altered or moved, or does not
+    match its files.
+    """
     try:
-        named = json.loads(checksums.read_text(encoding="utf-8"))
-        files = {kind: checksums.parent / Path(name).name for kind, (name, _) in named.items()}
-        good = all(file_checksum(files[kind]) == checksum for kind, (_, checksum) in named.items())
-        start, stop = (int(n) for n in checksums.stem.split("-"))
+        content = read_document(checksums)
+        if "format" not in content:
+            return _verified_format_1(checksums, content)
+        start, stop, kinds = content["start"], content["stop"], content["kinds"]
+        here = checksums.parent.name, checksums.stem
+        if (content["key"], _span(start, stop)) != here or not kinds.keys() <= KINDS.keys():
+            return None
+        if kinds["rows"]["rows"] != stop - start:
+            return None
+        files = {kind: checksums.parent / Path(known["file"]).name for kind, known in kinds.items()}
+        if any(file_checksum(files[kind]) != known["checksum"] for kind, known in kinds.items()):
+            return None
+        return Part(start, stop, files, content["machine"])
     except (OSError, ValueError, AttributeError, KeyError, TypeError):
         return None
-    return Part(start, stop, files) if good else None
+
+
+def _verified_format_1(checksums: Path, named: Mapping[str, Any]) -> Part | None:
+    """The part of a checksum file {kind: [file, checksum]} of an earlier version; None as in
+    `_verified`.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    span = re.fullmatch(r"(\d{9,})-(\d{9,})", checksums.stem)
+    if span is None:
+        return None
+    files = {kind: checksums.parent / Path(name).name for kind, (name, _) in named.items()}
+    for kind, file in files.items():
+        if kind not in KINDS or not file.name.startswith(f"{checksums.stem}.{kind}."):
+            return None
+    if any(file_checksum(files[kind]) != checksum for kind, (_, checksum) in named.items()):
+        return None
+    start, stop = (int(number) for number in span.groups())
+    try:
+        rows = pq.read_metadata(files["rows"]).num_rows
+    except pa.ArrowException:
+        return None
+    return Part(start, stop, files) if rows == stop - start else None
+
+
+def checksum_files(out: Path, key: str) -> list[Path]:
+    """The checksum files of all parts, in order."""
+    return sorted((out / "parts" / key).glob("*.json"))
 
 
 def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:
     """The parts of this kind whose checksums match, in order, without torn or altered ones."""
-    parts = (_verified(file) for file in sorted((out / "parts" / key).glob("*.json")))
+    parts = (_verified(file) for file in checksum_files(out, key))
     return [part for part in parts if part is not None and kind in part.files]
 
 
 def has_part(out: Path, key: str, start: int, stop: int, kind: str = "rows") -> bool:
     """Whether exactly this part exists and is intact."""
-    checksums = out / "parts" / key / f"{start:09d}-{stop:09d}.json"
+    checksums = out / "parts" / key / f"{_span(start, stop)}.json"
     part = _verified(checksums) if checksums.exists() else None
     return part is not None and kind in part.files
 
@@ -90,7 +140,7 @@ def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
     are reported once.
     """
     parts, damaged = [], []
-    for checksums in sorted((out / "parts" / key).glob("*.json")):
+    for checksums in checksum_files(out, key):
         part = _verified(checksums)
         if part is None:
             damaged.append(checksums.rename(f"{checksums}.damaged"))

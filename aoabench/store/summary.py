@@ -5,6 +5,7 @@ position where replications share their positions.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,6 +17,8 @@ from aoabench.maths.statistics import Array, Estimate, mean, pooled_rmse, quanti
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    Columns = Mapping[str, np.ndarray] | pd.DataFrame  # of the replications table
 
 CLUSTERED = ("rmse_3d_m", "rmse_xy_m", "rmse_z_m", "iterations")  # metrics of Clusters.influence
 
@@ -115,7 +118,7 @@ def position_sums(
 
 
 def summarise(
-    rows: pd.DataFrame, clusters: Clusters | None = None, reasons: pd.DataFrame | None = None
+    rows: Columns, clusters: Clusters | None = None, reasons: pd.DataFrame | None = None
 ) -> dict[str, Any]:
     """One row of the summary table (columns.SUMMARY, without the cell) from the replications of one
     estimator in one cell; columns that nothing fills are NaN.
@@ -125,8 +128,8 @@ def summarise(
     clustered by position (`se_by`); those of quantiles and of the failure rate, whose 95 % interval
     is Wilson's, are always over replications.
     """
-    n = len(rows)
-    bad = int(rows["outcome"].isin(["failed", "diverged"]).sum())
+    n = len(rows["outcome"])
+    bad = int(np.isin(np.asarray(rows["outcome"]), ["failed", "diverged"]).sum())
     result: dict[str, Any] = {name: math.nan for name in SUMMARY if name not in IDENTITY}
     result |= {"replications": n} | _rmse(rows)
 
@@ -139,9 +142,9 @@ def summarise(
     result["failure_rate_low"], result["failure_rate_high"] = intervals.rate_interval(bad, n)
     put("nees_mean", mean(rows["nees"]))
     put("iterations_mean", mean(rows["iterations"]))
-    fixes = max(int(rows["n_fixes"].sum()), 1)
+    fixes = max(int(np.sum(rows["n_fixes"])), 1)
     for name in ("ok", "rejected", "oscillated", "diverged", "failed", "unmeasured", "imprecise"):
-        result[f"share_{name}"] = float(rows[f"n_{name}"].sum(skipna=False) / fixes)
+        result[f"share_{name}"] = float(np.sum(np.asarray(rows[f"n_{name}"])) / fixes)
     reason, count = (None, math.nan) if reasons is None else commonest(reasons)
     result |= {"reason": reason, "share_reason": count / fixes}
     result["se_by"] = "replication" if clusters is None else "position"
@@ -160,7 +163,7 @@ def commonest(reasons: pd.DataFrame) -> tuple[str, int]:
     return str(count.idxmax()), int(count.max())
 
 
-def _rmse(rows: pd.DataFrame) -> dict[str, float]:
+def _rmse(rows: Columns) -> dict[str, float]:
     """Pooled and mean RMSE with standard errors and 95 % intervals over replications."""
     accepted = rows["n_ok"] + rows["n_oscillated"] + rows["n_diverged"]
     result: dict[str, float] = {}

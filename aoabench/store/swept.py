@@ -3,45 +3,44 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from aoabench.maths.digest import flatten
+from aoabench.store.index import LEAF, Index
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
 
 
-def swept_parameters(noted: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Per cell, the dotted parameters that differ between the cells or that a command line or
-    experiment set.
+def swept_parameters(index: Index) -> dict[str, list[Any]]:
+    """The dotted parameters that differ between the cells or that a command line or experiment set:
+    name -> value in each cell, None where a cell lacks it.
     """
-    full = {r["cell"]: dict(flatten(r["config"])) | r["changed"] for r in noted}
-    names = {
-        name
-        for leaves in full.values()
-        for name in leaves
-        if name.startswith(("scenario.", "noise."))
-    }
+    import pyarrow.compute as pc
+
+    table = index.table
+    leaves = {n[len(LEAF) :]: table[n] for n in table.column_names if n.startswith(LEAF)}
     varied = {
         name
-        for name in names
-        if len({json.dumps(leaves.get(name)) for leaves in full.values()}) > 1
+        for name, texts in leaves.items()
+        if name.startswith(("scenario.", "noise.")) and len(texts.fill_null("null").unique()) > 1
     }
-    varied |= {
-        name for r in noted for name in (*r["changed"], *r["swept"]) if name in full[r["cell"]]
-    }
+    for text in table["named"].unique().to_pylist():
+        mine = pc.equal(table["named"], text)
+        named = [name for name in json.loads(text) if name in leaves and name not in varied]
+        varied |= {n for n in named if pc.any(pc.and_(mine, leaves[n].is_valid())).as_py()}
     keep = sorted(name for name in varied if not name.endswith("_target_") and name != "seed")
-    found = {
-        cell: {name: _scalar(leaves.get(name)) for name in keep} for cell, leaves in full.items()
-    }
-    for name in keep:
-        if (
-            len({_kind(values[name]) for values in found.values()} - {None}) > 1
-        ):  # mixed types are stored as text
-            for values in found.values():
-                values[name] = None if values[name] is None else str(values[name])
-    return found
+    return {name: _decoded(leaves[name]) for name in keep}
+
+
+def _decoded(texts: pa.ChunkedArray) -> list[Any]:
+    """The values of a parameter from JSON; values of mixed types become text."""
+    coded = texts.fill_null("null").combine_chunks().dictionary_encode()
+    distinct = [_scalar(json.loads(text)) for text in coded.dictionary.to_pylist()]
+    if len({_kind(value) for value in distinct} - {None}) > 1:
+        distinct = [None if value is None else str(value) for value in distinct]
+    return [distinct[i] for i in coded.indices.to_pylist()]
 
 
 def _kind(value: Any) -> str | None:

@@ -5,291 +5,276 @@
 <out>/{cells,summary,timing,failures,precision}.parquet
 <out>/tidy.parquet                         all replications with their cells' swept parameters;
                                            the frame that `load` returns
+
+A reader takes the tables that the manifest names (see store.manifest), so that it never sees half
+of a collect.
 """
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from aoabench.columns import (
-    FAILURES,
-    IDENTITY,
-    KINDS,
-    PRECISION,
-    REPLICATIONS,
-    SCHEMA,
-    SUMMARY,
-    TIMING,
-)
-from aoabench.errors import UserError
-from aoabench.store import folder
+import numpy as np
+
+from aoabench.columns import FAILURES, IDENTITY, PRECISION, SCHEMA, SUMMARY, TIMING
+from aoabench.errors import RunError, UserError
+from aoabench.store import earlier, manifest, tidy
+from aoabench.store import index as index_module
 from aoabench.store.files import (
+    WRITING,
     provenance,
     schema,
-    schema_version,
+    version_in,
     write_atomically,
     write_frame,
-    write_table,
 )
-from aoabench.store.fixes import clusters
-from aoabench.store.folder import noted_parts, records, replay_command, write_record
-from aoabench.store.parts import Part, intact_parts
-from aoabench.store.summary import commonest, summarise
+from aoabench.store.folder import read_record, write_record
+from aoabench.store.index import Index
+from aoabench.store.rows import CellRows
 from aoabench.store.swept import natural, one_kind, swept_parameters
-from aoabench.types import SENTENCES, Reason
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
+
+
+@dataclass(frozen=True)
+class _Before:
+    """What the tables made last show of the cells that have not changed."""
+
+    tables: Mapping[str, pa.Table]
+    tidy: tidy.Earlier
 
 
 def collect(out: Path, only: Iterable[str] | None = None) -> None:
-    """Make the tables of `out` from its parts; `only` names the cells whose rows have changed
-    (None: all).
+    """Make the tables of `out`: the rows of the cells `only`, and of those whose records have
+    changed, from their parts, and the others from the tables made last (None: all from the parts).
+    The caller holds the folder's lock.
 
-    Raises UserError if `out` holds no run, and RunError if a part is missing, so that no table is
-    silently incomplete.
+    Raises UserError if `out` holds no run, and RunError if a record or part is missing or torn, so
+    that no table is silently incomplete.
     """
-    noted = records(out)
-    if not noted:
+    anew = only is None
+    index = index_module.read(out, anew=anew)
+    cells = index.column("cell")
+    if not cells:
         raise UserError(f"{out}: no results here; allowed: the runner.out folder of a run")
-    changed = None if only is None else set(only)
-    for record in noted:
-        path = out / "replications.parquet" / f"{record['cell']}.parquet"
-        stale = not path.exists() or schema_version(path) < SCHEMA
-        if changed is None or record["cell"] in changed or stale:
-            _collect_rows(out, record, "rows")
-            if any(entry["steps"] for entry in record["estimators"].values()):
-                _collect_rows(out, record, "steps")
-            else:
-                (out / "steps.parquet" / f"{record['cell']}.parquet").unlink(missing_ok=True)
-    swept = swept_parameters(noted)
-
-    def order(record: Mapping[str, Any]) -> tuple[Any, ...]:
-        names = record["experiment"] or "", record["scenario"], record["noise"]
-        return (*names, natural(swept[record["cell"]].values()))
-
-    noted.sort(key=order)
-    cells = _cell_table(noted, swept)
-    write_frame(out / "cells.parquet", cells, columns={})
-    _write_tidy(out, cells)
-    _write_summary(out, noted, swept)
-    write_timing(out)
+    index, changed = index.with_states(out, cells if only is None else only)
+    if not anew:
+        changed |= _without_rows(out, index)
+    before = None if anew else _before(index, changed)
+    if before is None:
+        changed = set(cells)
+    if changed or set(cells) != index.earlier.keys():
+        _Collect(out, index, changed, before).publish()
+    elif index.before is not None:
+        made = {manifest.INDEX: _write(out, manifest.INDEX, index.table)} if index.fresh else {}
+        manifest.publish(out, made, index.before) if made else manifest.link(index.before)
 
 
-def _cell_table(
-    noted: Sequence[Mapping[str, Any]], swept: Mapping[str, Mapping[str, Any]]
-) -> pd.DataFrame:
-    """A row per cell, with a column per swept parameter and the resolved config."""
-    import pandas as pd
-
-    rows = [
-        {
-            **{k: r[k] for k in ("cell", "experiment", "scenario", "noise", "seed")},
-            **swept[r["cell"]],
-            "estimators": ", ".join(r["estimators"]),
-            "config": json.dumps(r["config"], sort_keys=True),
-        }
-        for r in noted
-    ]
-    cells = pd.DataFrame(rows)
-    cells["experiment"] = cells["experiment"].astype("string")
-    for parameter in next(iter(swept.values())):
-        cells[parameter] = one_kind(cells[parameter])
-    return cells
+def _without_rows(out: Path, index: Index) -> set[str]:
+    """The cells without their file of replications or steps."""
+    stems = {
+        name: {file.stem for file in (out / f"{name}.parquet").glob("*.parquet")}
+        for name in ("replications", "steps")
+    }
+    texts = index.table["estimators"].to_pylist()
+    stepped = {c for c, text in zip(index.column("cell"), texts) if '"steps": true' in text}
+    return (set(index.column("cell")) - stems["replications"]) | (stepped - stems["steps"])
 
 
-def _write_summary(
-    out: Path, noted: Sequence[Mapping[str, Any]], swept: Mapping[str, Mapping[str, Any]]
-) -> None:
-    """Write the summary and the failures of every estimator in every cell."""
-    import pandas as pd
-
-    rows, failed = [], []
-    for record in noted:
-        cell = record["cell"]
-        frame = pd.read_parquet(out / "replications.parquet" / f"{cell}.parquet")
-        for name, group in frame.groupby("estimator", sort=False):
-            entry = record["estimators"][name]
-            parts = intact_parts(out, entry["key"]) if _any_not_ok(group) else []
-            reasons = folder.reasons(parts, entry["reps"])
-            known = not group["reason"].isna().any()
-            failed += _failures(out, record, str(name), group, parts, reasons if known else None)
-            found = summarise(group, clusters(out, cell, str(name)), reasons if known else None)
-            identity = {**{k: record[k] for k in IDENTITY[:4]}, "estimator": name}
-            rows.append({**identity, **swept[cell], **found})
-    summary = pd.DataFrame(rows)
-    parameters = list(next(iter(swept.values())))
-    for parameter in parameters:
-        summary[parameter] = one_kind(summary[parameter])
-    rest = [c for c in SUMMARY if c not in IDENTITY]
-    write_frame(out / "summary.parquet", summary[[*IDENTITY, *parameters, *rest]], columns=SUMMARY)
-    _write_rows(out / "failures.parquet", failed, FAILURES)
+def _before(index: Index, changed: Collection[str]) -> _Before | None:
+    """The tables made last; None if there are none, or one of them cannot be used."""
+    generation = index.before
+    if generation is None:
+        return None
+    try:
+        kept = {name: generation.read(name) for name in ("summary", "failures")}
+        order = generation.read("cells", ["cell"])["cell"].to_pylist()
+        counts = {cell: index.earlier[cell][1] for cell in order}
+        rows = tidy.Earlier(generation.data("tidy"), counts)
+        if any(
+            version_in(table.schema.metadata, generation.out) < SCHEMA for table in kept.values()
+        ):
+            return None
+    except (RunError, FileNotFoundError, KeyError):
+        return None
+    for cell in changed:
+        rows.spans.pop(cell, None)
+    return _Before(kept, rows)
 
 
-def _any_not_ok(rows: pd.DataFrame) -> bool:
-    return bool((rows["n_ok"] < rows["n_fixes"]).any())
+class _Collect:
+    """The tables of one generation, made in the order of the cells' parameters."""
+
+    def __init__(self, out: Path, index: Index, changed: set[str], before: _Before | None) -> None:
+        self.out, self.before, self.changed = out, before, changed
+        swept = swept_parameters(index)
+        rows = zip(*(index.column(c) for c in ("experiment", "scenario", "noise")))
+        names = [(e or "", *rest) for e, *rest in rows]
+        values = zip(*swept.values()) if swept else [()] * len(names)
+        keys = [(*name, natural(value)) for name, value in zip(names, values)]
+        order = sorted(range(len(keys)), key=keys.__getitem__)
+        self.swept = {name: [column[i] for i in order] for name, column in swept.items()}
+        self.index = Index(index.table.take(order), index.fresh, index.before, index.earlier)
+        self.place = {cell: i for i, cell in enumerate(self.index.column("cell"))}
+        self.summary: list[dict[str, Any]] = []
+        self.failures: list[dict[str, Any]] = []
+
+    def publish(self) -> None:
+        """Write all tables and make them the current generation."""
+        cells = self._cell_table()
+        files = {n: manifest.new_file(self.out, n) for n in ("cells", "tidy", "summary")}
+        write_frame(files["cells"], cells, columns={})
+        counts = self.index.column("rows")
+        earlier = None if self.before is None else self.before.tidy
+        write_atomically(
+            files["tidy"], lambda t: tidy.write(t, cells, counts, self._rows_of, earlier)
+        )
+        write_frame(files["summary"], self._summary_table(), columns=SUMMARY)
+        files["failures"] = _write(self.out, "failures", self._failures_table())
+        files |= _timing_tables(self.out, self.index)
+        files[manifest.INDEX] = _write(self.out, manifest.INDEX, self.index.table)
+        manifest.publish(self.out, files, self.index.before)
+
+    def _cell_table(self) -> pd.DataFrame:
+        """A row per cell, with a column per swept parameter and the resolved config."""
+        import pandas as pd
+
+        columns = ("cell", "experiment", "scenario", "noise", "seed")
+        estimators = [", ".join(entries) for entries in self.index.column("estimators")]
+        known = {name: self.index.column(name) for name in columns}
+        rest = {"estimators": estimators, "config": self.index.column("config")}
+        cells = pd.DataFrame(known | self.swept | rest)
+        cells["experiment"] = cells["experiment"].astype("string")
+        for parameter in self.swept:
+            cells[parameter] = one_kind(cells[parameter])
+        return cells
+
+    def _rows_of(self, cell: str) -> pa.Table:
+        """The replications of a changed cell; its summary and failures are noted."""
+        row = self.index.table.slice(self.place[cell], 1).to_pylist()[0]
+        made = CellRows(self.out, row)
+        made.write()
+        self.summary += made.summary
+        self.failures += made.failures
+        return made.replications
+
+    def _summary_table(self) -> pd.DataFrame:
+        """The summary of every estimator in every cell."""
+        table = self._joined("summary", self.summary, SUMMARY)
+        frame: pd.DataFrame = table.to_pandas()
+        at = [self.place[cell] for cell in table["cell"].to_pylist()]
+        for name, values in self.swept.items():
+            import pandas as pd
+
+            frame[name] = one_kind(pd.Series([values[i] for i in at]))
+        rest = [c for c in SUMMARY if c not in IDENTITY]
+        return frame[[*IDENTITY, *self.swept, *rest]]
+
+    def _failures_table(self) -> pa.Table:
+        return self._joined("failures", self.failures, FAILURES)
+
+    def _joined(
+        self, name: str, new: Sequence[Mapping[str, Any]], columns: Mapping[str, str]
+    ) -> pa.Table:
+        """The earlier table's rows of the cells that have not changed and the new rows, in the
+        order of the cells.
+        """
+        import pyarrow as pa
+
+        table = _table(new, columns)
+        if self.before is not None:
+            kept = self.before.tables[name]
+            stays = [c in self.place and c not in self.changed for c in kept["cell"].to_pylist()]
+            table = pa.concat_tables(
+                [kept.select(list(columns)).filter(pa.array(stays, pa.bool_())), table]
+            )
+        places = np.array([self.place[cell] for cell in table["cell"].to_pylist()], dtype=int)
+        return table.take(pa.array(np.argsort(places, kind="stable")))
 
 
-def _write_tidy(out: Path, cells: pd.DataFrame) -> None:
-    """Write the replications of all cells, with the cell table's columns that they lack, cell by
-    cell into one file.
-    """
+def _table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> pa.Table:
+    """A table of these columns from a mapping for each row."""
     import pyarrow as pa
+
+    def column(field: pa.Field) -> pa.Array:
+        return pa.array([row[field.name] for row in rows], field.type, from_pandas=True)
+
+    known = schema(columns)
+    return pa.table([column(field) for field in known], schema=known)
+
+
+def _write(out: Path, name: str, table: pa.Table) -> Path:
+    """Write a table of the next generation; return its file."""
     import pyarrow.parquet as pq
 
-    extra = [
-        c for c in cells.columns if c not in REPLICATIONS and c not in ("config", "estimators")
-    ]
-    beside = pa.Table.from_pandas(cells[extra], preserve_index=False)
-    outer = pa.schema([*schema(REPLICATIONS), *beside.schema.remove_metadata()])
-    outer = outer.with_metadata(schema(REPLICATIONS, provenance()).metadata)
+    file, meta = manifest.new_file(out, name), schema({}, provenance()).metadata
+    table = table.replace_schema_metadata(meta)
+    write_atomically(file, lambda temporary: pq.write_table(table, temporary, **WRITING))
+    return file
 
-    repeated = [
-        name for name in outer.names if REPLICATIONS.get(name) != "double"
-    ]  # a dictionary saves nothing for doubles
 
-    def write(temporary: Path) -> None:
-        with pq.ParquetWriter(
-            temporary, outer, compression="zstd", use_dictionary=repeated
-        ) as writer:
-            for i, cell in enumerate(cells["cell"]):
-                rows = pq.read_table(out / "replications.parquet" / f"{cell}.parquet")
-                same = [pa.repeat(column[i], len(rows)) for column in beside.columns]
-                writer.write_table(
-                    pa.table([rows[name] for name in REPLICATIONS] + same, schema=outer)
-                )
-
-    write_atomically(out / "tidy.parquet", write)
+def _timing_tables(out: Path, index: Index) -> dict[str, Path]:
+    """Write the timing table and the table of the precision reached, from the recorded cells."""
+    rows = sorted(
+        zip(*(index.column(name) for name in (*IDENTITY[:4], "estimators"))), key=itemgetter(0)
+    )
+    made = {}
+    for kind, columns in (("timing", TIMING), ("precision", PRECISION)):
+        found = [
+            {**dict(zip(IDENTITY[:4], identity)), "estimator": name, **entry[kind]}
+            for *identity, entries in rows
+            for name, entry in entries.items()
+            if entry.get(kind)
+        ]
+        made[kind] = _write(out, kind, _table(found, columns))
+    return made
 
 
 def note_timing(out: Path, timing: Mapping[str, Any]) -> None:
-    """Enter timings by part key into the records, and write the timing table."""
-    for record in records(out):
-        entries = record["estimators"].values()
-        if any(entry["key"] in timing for entry in entries):
-            for entry in entries:
+    """Enter timings by part key into the records, and make the timing table. The caller holds the
+    folder's lock, and the tables show the recorded cells.
+    """
+    if not timing:
+        return
+    index = index_module.read(out)
+    for cell, entries in zip(index.column("cell"), index.column("estimators")):
+        if any(entry["key"] in timing for entry in entries.values()):
+            record = read_record(out / "cells" / f"{cell}.json")
+            for entry in record["estimators"].values():
                 entry["timing"] = timing.get(entry["key"], entry.get("timing"))
             write_record(out, record)
-    write_timing(out)
-
-
-def write_timing(out: Path) -> None:
-    """Write the timing table and the table of the precision reached, from the recorded cells."""
-    noted = records(out)
-    for kind, columns in (("timing", TIMING), ("precision", PRECISION)):
-        found = [
-            {**{k: r[k] for k in IDENTITY[:4]}, "estimator": name, **entry[kind]}
-            for r in noted
-            for name, entry in r["estimators"].items()
-            if entry.get(kind)
-        ]
-        _write_rows(out / f"{kind}.parquet", found, columns)
-
-
-def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
-    write_table(path, {c: [row[c] for row in rows] for c in columns}, schema(columns, provenance()))
-
-
-def _failures(
-    out: Path,
-    record: Mapping[str, Any],
-    name: str,
-    rows: pd.DataFrame,
-    parts: Sequence[Part],
-    reasons: pd.DataFrame | None,
-) -> list[dict[str, Any]]:
-    """Rows of the failures table: one estimator's replications in which a fix failed. `reasons`
-    counts the fixes that are not ok; None where unknown.
-    """
-    failed = rows[rows["n_failed"] > 0]
-    if failed.empty:
-        return []
-    messages = folder.errors(parts, record["estimators"][name]["reps"])
-    why: dict[int, str] = {}
-    if reasons is not None:
-        of_failed = reasons[reasons["outcome"] == "failed"]
-        groups = of_failed.groupby("replication")
-        why = {some["replication"].iloc[0]: commonest(some)[0] for _, some in groups}
-    columns = [c for c in FAILURES if c not in ("reason", "sentence", "error", "replay")]
-    found = []
-    for row in failed[columns].to_dict("records"):
-        replication = row["replication"]
-        reason = why.get(replication)
-        again = replay_command(
-            out, record["cell"], name, replication, record["config"], record.get("plugins", ())
-        )
-        found.append(
-            {
-                **{str(k): v for k, v in row.items()},
-                "reason": reason,
-                "sentence": None if reason is None else SENTENCES[Reason[reason.upper()]],
-                "error": messages.get(replication),
-                "replay": again,
-            }
-        )
-    return found
-
-
-def _collect_rows(out: Path, record: Mapping[str, Any], kind: str) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    columns = KINDS[kind]
-    table = {"rows": "replications"}.get(kind, kind)
-    outer = schema(columns, {**record["provenance"], "config": record["config"]})
-
-    def write(temporary: Path) -> None:
-        with pq.ParquetWriter(temporary, outer, compression="zstd") as writer:
-            for name, entry in record["estimators"].items():
-                if kind == "steps" and not entry["steps"]:
-                    continue
-                for part in noted_parts(out, entry, kind):
-                    same = {**{k: record[k] for k in IDENTITY[:4]}, "estimator": name}
-                    full = [
-                        pa.array([same[f.name]] * len(part), f.type)
-                        if f.name in same
-                        else part[f.name]
-                        for f in outer
-                    ]
-                    writer.write_table(pa.table(full, schema=outer))
-
-    write_atomically(out / f"{table}.parquet" / f"{record['cell']}.parquet", write)
+    index = index_module.read(out).with_states_kept()
+    made = _timing_tables(out, index)
+    manifest.publish(
+        out, made | {manifest.INDEX: _write(out, manifest.INDEX, index.table)}, index.before
+    )
 
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """One tidy frame: a row per cell x estimator x replication, with a column per swept parameter.
 
     Columns that tables of an earlier schema lack are NaN or None. Raises UserError if `out` holds
-    no run, or tables of an unknown schema.
+    no run, or tables of an unknown schema, and RunError if they are torn or altered.
     """
-    import pandas as pd
+    return shown(out, "tidy")["tidy"]
 
+
+def shown(out: str | os.PathLike[str], *names: str) -> dict[str, pd.DataFrame]:
+    """The named tables of a run as frames that belong together; `tidy` is that of `load`. Raises as
+    `load` does.
+    """
     root = Path(out)
-    if not (root / "cells.parquet").exists() or not (root / "replications.parquet").is_dir():
-        raise UserError(
-            f"{root}: no results here; allowed: the runner.out folder of a finished run"
-        )
-    cells = pd.read_parquet(root / "cells.parquet").drop(columns=["config", "estimators"])
-    rows = pd.concat(
-        [_replications(f) for f in sorted((root / "replications.parquet").glob("*.parquet"))]
-    )
-    extra = [c for c in cells.columns if c == "cell" or c not in rows.columns]
-    return rows.merge(cells[extra], on="cell", how="left", validate="many_to_one").reset_index(
-        drop=True
-    )
-
-
-def _replications(path: Path) -> pd.DataFrame:
-    """A file of replications; columns that an earlier schema lacks are NaN or None."""
-    import pandas as pd
-
-    if schema_version(path) == SCHEMA:
-        return pd.read_parquet(path)
-    import pyarrow.parquet as pq
-
-    rows: pd.DataFrame = pq.read_table(path, schema=schema(REPLICATIONS)).to_pandas()
-    return rows
+    found = manifest.read_together(root, dict.fromkeys(names))
+    if found is None:
+        return earlier.shown(root, names)
+    frames = {name: table.to_pandas() for name, table in found[0].items()}
+    if "tidy" in frames:
+        frames["tidy"] = frames["tidy"].sort_values("cell", kind="stable", ignore_index=True)
+    return frames

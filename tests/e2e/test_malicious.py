@@ -2,7 +2,6 @@
 in plugins, write outside the output folder, or listen to another machine; and nothing is unpickled
 from disk."""
 
-import json
 import pickle
 from dataclasses import replace
 
@@ -15,6 +14,7 @@ from aoabench.engine import runner
 from aoabench.engine.replay import replay
 from aoabench.engine.replay_files import write
 from aoabench.store import folder
+from aoabench.store.documents import read_document, write_document
 
 HIT = "{_target_: os.system, command: touch HIT}"
 EXPERIMENT = "# @package _global_\n# X\ndefaults:\n  - override /filter: [ekf_vmf]\n"
@@ -137,9 +137,9 @@ def finished(tmp_path):
 
 def rewritten(out, change):
     path = next((out / "cells").glob("*.json"))
-    record = json.loads(path.read_text())
+    record = read_document(path)
     change(record)
-    path.write_text(json.dumps(record))
+    write_document(path, record)
     return path.stem
 
 
@@ -172,14 +172,15 @@ def test_a_run_folder_from_elsewhere_cannot_name_files(finished, tmp_path):
 
     cell = rewritten(out, change)
     frame = next((out / "replications.parquet").glob("*.parquet"))
-    with pytest.raises(IndexError):  # it has no such rows
-        replay(out, 1, name)
+    assert replay(out, 1, name).as_stored
     write(replace(replay(out, 1, "ekf_vmf"), estimator=name))
     assert not list(tmp_path.glob("outside*"))
     stem = f"{cell}-_._.._.._outside-1"
     assert {p.name for p in (out / "replay").iterdir()} == {f"{stem}.parquet", f"{stem}.png"}
     rewritten(out, lambda record: record.update(cell="../../outside"))
-    assert folder.records(out) == [], "it does not belong to its file"
+    refused = pytest.raises(aoabench.RunError, match=rf"{cell}\.json is torn or altered")
+    with refused:  # it does not belong to its file
+        folder.records(out)
     rewritten(
         out,
         lambda record: (
@@ -187,7 +188,11 @@ def test_a_run_folder_from_elsewhere_cannot_name_files(finished, tmp_path):
             record["estimators"]["ekf_vmf"].update(key="../../x"),
         ),
     )
-    assert folder.records(out) == []
+    with refused:
+        folder.records(out)
+    with refused:
+        runner.run(cells, progress=False)
+    (out / "cells" / f"{cell}.json").unlink()
     assert frame.exists()
     assert runner.run(cells, progress=False).computed == 0, "the parts are still there"
 

@@ -13,6 +13,7 @@ from aoabench.columns import REPLICATIONS, STEPS, TIMING
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.resources import shipped
+from aoabench.store import reach
 from aoabench.store.files import read_provenance
 from aoabench.store.keys import RunKeys
 from aoabench.store.parts import missing_ranges
@@ -527,20 +528,38 @@ def test_what_estimators_share_cannot_be_written(tmp_path):
 
 def test_estimators_that_saw_older_draws_leave_the_cell(tmp_path, monkeypatch):
     aoabench.run("filter=[ekf_vmf]", "reps=5", out=tmp_path)
-    monkeypatch.setattr(keys, "version", lambda name: "another")
+    monkeypatch.setattr(reach, "version", lambda name: "another")
     aoabench.run("filter=[ukf_vmf]", "reps=5", out=tmp_path)
     assert set(aoabench.load(tmp_path)["estimator"]) == {"ukf_vmf"}
 
 
-def test_a_torn_record_or_a_lost_table_harms_nobody(tmp_path):
-    aoabench.run("noise=vmf,ae_flip", "filter=[ekf_vmf]", "reps=5", out=tmp_path)
-    tables_ = sorted((tmp_path / "replications.parquet").glob("*.parquet"))
-    tables_[0].unlink()
-    aoabench.run("noise=ae_normal", "filter=[ekf_vmf]", "reps=5", out=tmp_path)
-    assert len(aoabench.load(tmp_path)) == 15
-    (tmp_path / "cells" / f"{tables_[0].stem}.json").write_text('{"cell": ')
-    aoabench.run("noise=ae_normal", "filter=[ukf_vmf]", "reps=5", out=tmp_path)
-    assert len(aoabench.load(tmp_path)) >= 15
+def test_a_lost_table_is_made_again_and_a_torn_record_is_reported_and_mended(tmp_path):
+    both = ("noise=vmf,ae_flip", "filter=[ekf_vmf]", "reps=5", "runner.n_jobs=1")
+    other = ("noise=ae_normal", "filter=[ekf_vmf]", "reps=5", "runner.n_jobs=1")
+    aoabench.run(*both, out=tmp_path)
+    lost = sorted((tmp_path / "replications.parquet").glob("*.parquet"))[0]
+    lost.unlink()
+    aoabench.run(*other, out=tmp_path)
+    assert lost.exists()
+    before = aoabench.load(tmp_path)
+    assert len(before) == 15
+    record = tmp_path / "cells" / f"{lost.stem}.json"
+    record.write_text('{"cell": ')
+    for words in (both, other):
+        with pytest.raises(
+            aoabench.RunError, match=rf"{lost.stem}\.json is torn or altered; delete it"
+        ):
+            aoabench.run(*words, out=tmp_path)
+    pd.testing.assert_frame_equal(aoabench.load(tmp_path), before)
+    record.unlink()
+    with pytest.raises(
+        aoabench.RunError, match=rf"{lost.stem}\.json is missing.* run the command of that"
+    ):
+        aoabench.run(*other, out=tmp_path)
+    assert (
+        runner.run(compose_cells([*both, f"runner.out={tmp_path}"]), progress=False).computed == 0
+    )
+    pd.testing.assert_frame_equal(aoabench.load(tmp_path), before)
 
 
 def test_steps_follow_what_was_asked_for_last(tmp_path):

@@ -11,9 +11,11 @@ from scipy import stats
 
 import aoabench
 from aoabench.cli.main import dispatch, main
+from aoabench.columns import REPLICATIONS
 from aoabench.maths import intervals
 from aoabench.report.comparison import lines
-from aoabench.store import compare, tables
+from aoabench.store import compare, manifest, tables
+from aoabench.store.files import write_frame
 from aoabench.store.fixes import clusters, fixes
 from aoabench.store.summary import position_sums
 
@@ -40,8 +42,10 @@ def grid(tmp_path_factory):
 def doctored(source, out, change):
     """A copy of a run, its replications changed: `change` gets and gives the frame of a cell."""
     shutil.copytree(source, out, dirs_exist_ok=True)
-    for path in (out / "replications.parquet").glob("*.parquet"):
-        change(pd.read_parquet(path)).to_parquet(path)
+    file = manifest.new_file(out, "tidy")
+    cells = [change(rows.copy()) for _, rows in tables.load(out).groupby("cell")]
+    write_frame(file, pd.concat(cells), columns=REPLICATIONS)
+    manifest.publish(out, {"tidy": file}, manifest.current(out))
     return out
 
 

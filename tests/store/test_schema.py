@@ -12,6 +12,7 @@ import pytest
 import aoabench
 from aoabench import columns
 from aoabench.store import files, fixes, tables
+from aoabench.store.documents import read_document, write_document
 from aoabench.types import SENTENCES, Estimates, Outcome, Reason
 
 NEW = {  # columns that tables of schema 1 lack
@@ -43,8 +44,19 @@ def run(tmp_path_factory):
     return out
 
 
+def as_version_1(out):
+    """Rewrite the records of a run as an earlier version wrote them, and take its manifest away."""
+    (out / "tables.json").unlink()
+    shutil.rmtree(out / ".tables")
+    for path in (out / "cells").iterdir():
+        record = read_document(path)
+        record.pop("format")
+        path.write_text(json.dumps(record))
+
+
 def as_schema_1(out):
     """Rewrite the files of a run as an earlier version wrote them."""
+    as_version_1(out)
 
     def strip(path, names=()):
         table = pq.read_table(path)
@@ -53,11 +65,13 @@ def as_schema_1(out):
         pq.write_table(table.replace_schema_metadata(meta), path)
 
     for path in out.rglob("parts/*/*.json"):
-        named = json.loads(path.read_text())
-        named.pop("reasons", None)
-        for kind, entry in named.items():
-            strip(path.parent / entry[0], NEW.get(kind, ()))
-            entry[1] = files.file_checksum(path.parent / entry[0])
+        kinds = read_document(path)["kinds"]
+        kinds.pop("reasons", None)
+        named = {}
+        for kind, entry in kinds.items():
+            file = path.parent / entry["file"]
+            strip(file, NEW.get(kind, ()))
+            named[kind] = [file.name, files.file_checksum(file)]
         path.write_text(json.dumps(named))
     for path in (out / "replications.parquet").glob("*.parquet"):
         strip(path, NEW["rows"])
@@ -80,7 +94,8 @@ def test_tables_have_exactly_their_columns_and_version(run):
         assert pq.read_schema(path).names == list(known)
     for path in run.rglob("*.parquet"):
         if path.is_file():
-            assert files.schema_version(path) == columns.SCHEMA == 2
+            version = files.version_in(pq.read_schema(path).metadata, path)
+            assert version == columns.SCHEMA == 2
 
 
 def test_reasons_of_every_fix_are_counted(run):
@@ -154,6 +169,7 @@ def test_a_new_cell_in_an_old_folder_leaves_both_readable(run, tmp_path):
 def test_a_folder_of_an_unknown_schema_is_refused_in_one_line(version, run, tmp_path):
     out = tmp_path / "new"
     shutil.copytree(run, out)
+    as_version_1(out)
     for path in [f for f in out.rglob("*.parquet") if f.is_file() and "parts" not in f.parts]:
         table = pq.read_table(path)
         meta = {**table.schema.metadata, b"aoabench_schema": version.encode()}
@@ -171,14 +187,13 @@ def test_a_part_of_an_unknown_schema_is_refused(run, tmp_path):
     out = tmp_path / "parts"
     shutil.copytree(run, out)
     for path in out.rglob("parts/*/*.json"):
-        named = json.loads(path.read_text())
-        for entry in named.values():
-            table = pq.read_table(path.parent / entry[0])
-            pq.write_table(
-                table.replace_schema_metadata({b"aoabench_schema": b"9"}), path.parent / entry[0]
-            )
-            entry[1] = files.file_checksum(path.parent / entry[0])
-        path.write_text(json.dumps(named))
+        content = read_document(path)
+        for entry in content["kinds"].values():
+            file = path.parent / entry["file"]
+            table = pq.read_table(file)
+            pq.write_table(table.replace_schema_metadata({b"aoabench_schema": b"9"}), file)
+            entry["checksum"] = files.file_checksum(file)
+        write_document(path, content)
     with pytest.raises(aoabench.UserError, match=r"\.rows\..*schema 9"):
         tables.collect(out)
 

@@ -1,0 +1,150 @@
+"""What the tables show of one cell, made from its parts: rows of replications, steps, the summary
+and the failures.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aoabench.columns import FAILURES, IDENTITY, KINDS
+from aoabench.errors import RunError
+from aoabench.store import folder
+from aoabench.store.files import WRITING, provenance, schema, write_atomically
+from aoabench.store.fixes import clusters_of
+from aoabench.store.folder import noted_parts, replay_command
+from aoabench.store.parts import Part, intact_parts
+from aoabench.store.summary import commonest, summarise
+from aoabench.types import SENTENCES, Reason
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+
+class CellRows:
+    """The rows of one cell (a row of the index, decoded).
+
+    replications: an Arrow table of all estimators (columns.REPLICATIONS), in order; summary: a row
+    for each of them, without the cell's parameters; failures: rows of the failures table.
+    """
+
+    def __init__(self, out: Path, row: Mapping[str, Any]) -> None:
+        import pyarrow as pa
+
+        self.out, self.row = out, row
+        self.entries = json.loads(row["estimators"])
+        self.parts = {n: intact_parts(out, entry["key"]) for n, entry in self.entries.items()}
+        origin = {**provenance(), "config": json.loads(row["config"])}
+        self._schemas = {kind: schema(KINDS[kind], origin) for kind in ("rows", "steps")}
+        self.summary: list[dict[str, Any]] = []
+        self.failures: list[dict[str, Any]] = []
+        tables = []
+        for name in self.entries:
+            table = pa.concat_tables(self._full(name, part, "rows") for part in self._noted(name))
+            self._check_numbers(name, table["replication"].to_numpy())
+            self._summarise(name, table)
+            tables.append(table)
+        self.replications = pa.concat_tables(tables)
+
+    def _noted(self, name: str, kind: str = "rows") -> Any:
+        return noted_parts(self.out, self.entries[name], kind, parts=self.parts[name])
+
+    def _full(self, name: str, part: pa.Table, kind: str) -> pa.Table:
+        """A part's table with the columns of the cell and the estimator."""
+        import pyarrow as pa
+
+        same = {**{k: self.row[k] for k in IDENTITY[:4]}, "estimator": name}
+        full = [
+            pa.repeat(pa.scalar(same[f.name], f.type), len(part))
+            if f.name in same
+            else part[f.name]
+            for f in self._schemas[kind]
+        ]
+        return pa.table(full, schema=self._schemas[kind])
+
+    def _check_numbers(self, name: str, numbers: np.ndarray) -> None:
+        """Raise RunError unless the replications are 0 ... reps-1."""
+        key, reps = self.entries[name]["key"], self.entries[name]["reps"]
+        if not np.array_equal(numbers, np.arange(reps)):
+            raise RunError(
+                f"{self.out}/parts/{key} does not hold the replications 0 to {reps - 1}; delete it "
+                "and run the same command again"
+            )
+
+    def write(self) -> None:
+        """Write replications.parquet/<cell>.parquet, and steps.parquet/<cell>.parquet if the record
+        has steps.
+        """
+        import pyarrow.parquet as pq
+
+        cell, path = self.row["cell"], self.out / "replications.parquet"
+        write_atomically(
+            path / f"{cell}.parquet", lambda t: pq.write_table(self.replications, t, **WRITING)
+        )
+        steps = self.out / "steps.parquet" / f"{cell}.parquet"
+        if any(entry["steps"] for entry in self.entries.values()):
+            write_atomically(steps, self._write_steps)
+        else:
+            steps.unlink(missing_ok=True)
+
+    def _write_steps(self, path: Path) -> None:
+        import pyarrow.parquet as pq
+
+        with pq.ParquetWriter(path, self._schemas["steps"], **WRITING) as writer:
+            for name, entry in self.entries.items():
+                if entry["steps"]:
+                    for part in self._noted(name, "steps"):
+                        writer.write_table(self._full(name, part, "steps"))
+
+    def _summarise(self, name: str, rows: pa.Table) -> None:
+        """Add the estimator's row of the summary and its rows of the failures."""
+        import pyarrow as pa
+
+        entry, parts = self.entries[name], self.parts[name]
+        columns = {n: rows[n].to_numpy() for n in rows.column_names if n not in IDENTITY}
+        not_ok = bool((columns["n_ok"] < columns["n_fixes"]).any())
+        reasons: pd.DataFrame | None = None
+        if rows["reason"].null_count == 0:
+            reasons = folder.reasons(parts if not_ok else [], entry["reps"])
+        failed = columns["n_failed"] > 0
+        if failed.any():
+            mine = rows.filter(pa.array(failed)).to_pandas()
+            self.failures += self._failures(name, mine, parts, reasons)
+        found = summarise(columns, clusters_of(self.out, entry, parts), reasons)
+        identity = {**{k: self.row[k] for k in IDENTITY[:4]}, "estimator": name}
+        self.summary.append(identity | found)
+
+    def _failures(
+        self, name: str, failed: pd.DataFrame, parts: Sequence[Part], reasons: pd.DataFrame | None
+    ) -> list[dict[str, Any]]:
+        """Rows of the failures table: one estimator's replications in which a fix failed. `reasons`
+        counts the fixes that are not ok; None where unknown.
+        """
+        messages = folder.errors(parts, self.entries[name]["reps"])
+        why: dict[int, str] = {}
+        if reasons is not None:
+            groups = reasons[reasons["outcome"] == "failed"].groupby("replication")
+            why = {some["replication"].iloc[0]: commonest(some)[0] for _, some in groups}
+        columns = [c for c in FAILURES if c not in ("reason", "sentence", "error", "replay")]
+        config, plugins = json.loads(self.row["config"]), json.loads(self.row["plugins"])
+        found = []
+        for row in failed[columns].to_dict("records"):
+            number = row["replication"]
+            reason = why.get(number)
+            found.append(
+                {
+                    **{str(k): v for k, v in row.items()},
+                    "reason": reason,
+                    "sentence": None if reason is None else SENTENCES[Reason[reason.upper()]],
+                    "error": messages.get(number),
+                    "replay": replay_command(
+                        self.out, self.row["cell"], name, number, config, plugins
+                    ),
+                }
+            )
+        return found

@@ -1,0 +1,90 @@
+"""One flipped bit anywhere in a run's folder is reported, or changes no number."""
+
+import random
+import shutil
+
+import pandas as pd
+import pytest
+
+import aoabench
+from aoabench.store import tables
+from tests.store import made
+
+FLIPS = 200
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder of two cells that two collects have made; and what its readers return."""
+    out = tmp_path_factory.mktemp("whole") / "run"
+    made.cell(out, "a")
+    tables.collect(out)
+    made.cell(out, "b", sigma_deg=2.0)
+    tables.collect(out, ["b"])
+    return out, read(out)
+
+
+def read(out):
+    """The frames that readers return; None for one that reports why it cannot."""
+    found = {}
+    for name, ask in (("load", tables.load), ("compare", aoabench.compare)):
+        try:
+            found[name] = ask(out)
+        except (aoabench.UserError, aoabench.RunError):
+            found[name] = None
+    return found
+
+
+def assert_same(found, expected, cells=("a", "b")):
+    for name, frame in found.items():
+        if frame is not None:
+            mine = frame[frame["cell"].isin(cells)].reset_index(drop=True)
+            pd.testing.assert_frame_equal(mine, expected[name], check_exact=True)
+
+
+def collected(out, *only):
+    """What readers return after a collect; nothing if that reports why it cannot."""
+    try:
+        tables.collect(out, *only)
+    except (aoabench.UserError, aoabench.RunError):
+        return {}
+    found = read(out)
+    assert None not in [type(frame) for frame in found.values()]
+    return found
+
+
+def flip(out, chance):
+    """Flip one bit of a file of the folder; each file is as likely as any other."""
+    file = chance.choice(sorted(f for f in out.rglob("*") if f.is_file() and f.stat().st_size))
+    data = bytearray(file.read_bytes())
+    at, bit = chance.randrange(len(data)), chance.randrange(8)
+    data[at] ^= 1 << bit
+    file.write_bytes(data)
+    return f"bit {bit} of byte {at} of {file.relative_to(out)}"
+
+
+def check(whole, out, seed):
+    """One flip: read, collected and read, and another cell added and read."""
+    source, expected = whole
+    shutil.copytree(source, out)
+    what = flip(out, random.Random(seed))
+    again = out.with_name("again")
+    shutil.copytree(out, again)
+    try:
+        assert_same(read(out), expected)
+        assert_same(collected(out), expected)
+        made.cell(again, "c", reps=3, sigma_deg=3.0)
+        later = collected(again, ["c"])
+        if seed % 2 == 0:
+            later.pop("compare", None)
+        assert_same({k: v for k, v in later.items() if k == "load"}, expected)
+    except BaseException as error:
+        raise AssertionError(f"seed {seed}: {what}") from error
+    finally:
+        shutil.rmtree(out)
+        shutil.rmtree(again)
+
+
+def test_a_flipped_bit_is_reported_or_harmless(whole, tmp_path):
+    for seed in range(FLIPS):
+        check(whole, tmp_path / "run", seed)
