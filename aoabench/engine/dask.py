@@ -117,7 +117,7 @@ def compute_remotely(number: int, task: Task, out: Path) -> tuple[int, dict[str,
     folder `out`.
     """
     here = platform.node()
-    for name in task.origin.differences():
+    for name, _ in task.origin.differences():
         raise RunError(
             f"the worker on {here} has another version of {name} than this run; "
             "install the same versions of the code, the plug-ins and the libraries, and restart it"

@@ -41,25 +41,25 @@ class Origin:
     libraries: Mapping[str, str | None]
     files: tuple[DataFile, ...]
 
-    def differences(self) -> Iterator[str]:
-        """Names of what this process has loaded, or would load now, that is different. A data file
-        that is missing is none: another machine may not have it.
+    def differences(self) -> Iterator[tuple[str, str]]:
+        """What this process has loaded, or would load now, that is different: its name, and since
+        when. A data file that is missing is no difference: another machine may not have it.
         """
         for module, known in self.sources.items():
             source = loaded.source(module)
             if source is None or source.digest != known or source.changed:
-                yield str(source.path if source else module)
-        yield from (n for n, wanted in self.libraries.items() if version(n) != wanted)
-        yield from (str(file.path) for file in self.files if file.changed and file.path.exists())
+                yield str(source.path if source else module), "it was imported"
+        for name, wanted in self.libraries.items():
+            if version(name) != wanted:
+                yield name, "the run began"
+        for file in self.files:
+            if file.changed and file.path.exists():
+                yield str(file.path), "it was read"
 
     def check(self) -> None:
         """Raise RunError if code or data differ in this process or have changed on the disk."""
-        for name in self.differences():
-            raise RunError(f"{name} was changed after it was {_taken(name)}; start again")
-
-
-def _taken(name: str) -> str:
-    return "imported" if name.endswith(".py") else "read"
+        for name, since in self.differences():
+            raise RunError(f"{name} was changed after {since}; start again")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from aoabench.columns import REPLICATIONS, STEPS, TIMING
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.resources import shipped
-from aoabench.store import reach
+from aoabench.store import keys, reach
 from aoabench.store.files import read_provenance
 from aoabench.store.keys import RunKeys
 from aoabench.store.parts import missing_ranges
@@ -303,7 +303,7 @@ def test_changed_source_is_never_reused_and_a_changed_plot_is(tmp_path):
         path = tmp_path / "aoabench" / file
         tree = ast.parse(path.read_text())
         body = next((n.body for n in tree.body if name and name == vars(n).get("name")), tree.body)
-        body.insert(1, ast.parse("_changed = True").body[0])
+        body.append(ast.parse("_changed = True").body[0])
         path.write_text(ast.unparse(tree))
 
     assert "8 replications x estimators computed, 0 reused" in said()
@@ -528,7 +528,8 @@ def test_what_estimators_share_cannot_be_written(tmp_path):
 
 def test_estimators_that_saw_older_draws_leave_the_cell(tmp_path, monkeypatch):
     aoabench.run("filter=[ekf_vmf]", "reps=5", out=tmp_path)
-    monkeypatch.setattr(reach, "version", lambda name: "another")
+    for module in (reach, keys):
+        monkeypatch.setattr(module, "version", lambda name: "another")
     aoabench.run("filter=[ukf_vmf]", "reps=5", out=tmp_path)
     assert set(aoabench.load(tmp_path)["estimator"]) == {"ukf_vmf"}
 
