@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from aoabench.columns import REPLICATIONS
@@ -117,7 +118,7 @@ class Cell:
     plugins: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # lines to print for the user
 
-    @property
+    @cached_property
     def id(self) -> str:
         """Short name of the cell, from scenario, noise, seed and changed parameters; further
         estimators of the same cell share it.
