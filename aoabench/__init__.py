@@ -56,11 +56,16 @@ def run(
     for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
-    from aoabench.config.overrides import file_setting
-    from aoabench.engine import runner
+    from aoabench.engine import faults, runner
 
-    given = [*overrides, *([file_setting("runner.out", os.fspath(out))] if out is not None else [])]
-    cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
+    cells = compose_cells(
+        overrides,
+        config_dir=config_dir,
+        plugins=plugins,
+        extra=estimators,
+        out=None if out is None else os.fspath(out),
+        say=faults.report if progress else None,
+    )
     frame = load(runner.run(cells, progress).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
     return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(

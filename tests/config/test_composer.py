@@ -71,6 +71,7 @@ REFUSED = [
     ["seed.x=1", "seed.x.y=2"],
     ["x@y=1"],
     ["noise@x=vmf"],
+    ["filter=[ukf_ae_adaptive]", "+filter.ukf_ae_adaptive.measurement.noise._target_=x"],
     ["noise=nope"],
     ["~noise=nope"],
     ["++noise=vmf"],
