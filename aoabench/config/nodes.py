@@ -13,6 +13,7 @@ from aoabench.config.guard import refuse_foreign_hydra
 from aoabench.config.messages import first_line
 from aoabench.config.plugins import Speller
 from aoabench.config.presets import LISTS
+from aoabench.config.resolvers import guarded
 from aoabench.errors import UserError
 from aoabench.resources import shipped
 
@@ -23,7 +24,7 @@ _REFERENCE = re.compile(r"\$\{(?:(\w+)(?:\.\w+)*|oc\.env:[^${}]*)\}")
 @contextmanager
 def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
     """Initialise Hydra's compose API over the shipped configs, and the user's own folder once it is
-    checked.
+    checked. No interpolation reads the machine meanwhile, except as `resolvers` allows.
     """
     from hydra._internal.hydra import Hydra
     from hydra._internal.utils import create_config_search_path
@@ -45,7 +46,8 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
         )
     Hydra.create_main_hydra2(task_name="aoabench", config_search_path=path)
     try:
-        yield
+        with guarded():
+            yield
     finally:
         Singleton.set_state(before)
 
