@@ -63,7 +63,7 @@ def run(
         config_dir=config_dir,
         plugins=plugins,
         extra=estimators,
-        out=None if out is None else os.fspath(out),
+        out=None if out is None else _literal(out),
         say=faults.report if progress else None,
     )
     frame = load(runner.run(cells, progress).out)
@@ -79,7 +79,7 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """
     from aoabench.store import tables
 
-    return tables.load(out)
+    return tables.load(_literal(out))
 
 
 def compare(
@@ -93,4 +93,10 @@ def compare(
     """
     from aoabench.store import compare as compare_module
 
-    return compare_module.compare(run, baseline, metric)
+    return compare_module.compare(_literal(run), baseline, metric)
+
+
+def _literal(path: str | os.PathLike[str]) -> str:
+    """The path with a leading ~ as part of the name, which Arrow would take for a home folder."""
+    text = os.fspath(path)
+    return os.path.abspath(text) if text.startswith("~") else text

@@ -6,8 +6,8 @@ import dataclasses
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import PurePath
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePath
 from typing import Any
 
 from aoabench.cell import Cell, RunnerOptions, Until
@@ -31,6 +31,8 @@ _TOP_LEVEL = (
     "seed",
     "plugins",
 )
+
+_MOST_REPS = 1_000_000  # of a config; the command line may ask for more
 
 
 @dataclass
@@ -62,9 +64,12 @@ class Builder:
         the user's own command line sets; `changed`: the estimators' parameters that differ from
         their presets. Raises UserError for every mistake that can be found before a run.
         """
+        typed = set(typed)
         _check_top_level(plain, choices, self.plugins)
         import_plugins(self.plugins)
-        runner = self._runner(plain, set(typed))
+        runner = self._runner(plain, typed)
+        if "reps" not in typed:
+            check_number("reps", plain["reps"], least=1, most=_MOST_REPS, integer=True)
         scenario = self._object(plain["scenario"], "scenario", as_scenario)
         plain, choices, notes = _as_recorded(plain, choices, scenario, keys)
         noise = self._object(plain["noise"], "noise", as_noise)
@@ -104,8 +109,9 @@ class Builder:
     def _runner(self, plain: Mapping[str, Any], typed: set[str]) -> RunnerOptions:
         key = repr([plain.get(group) for group in ("runner", "store", "until")])
         if key not in self.runners:
-            self.runners[key] = _runner(plain)
-            _check_reach(self.runners[key], typed)
+            runner = _runner(plain)
+            _check_reach(runner, typed)
+            self.runners[key] = replace(runner, out=_expanded(runner.out))
         return self.runners[key]
 
     def _heard(self, scenario: Scenario, seed: int) -> tuple[str, ...]:
@@ -251,21 +257,34 @@ def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
     return RunnerOptions(**nodes["runner"], **nodes["store"], until=Until(**goal))
 
 
+def _expanded(folder: str) -> str:
+    """The folder with the home folder in place of a leading ~; one that is called ~ gets its full
+    name, because Arrow too takes ~ for a home folder.
+    """
+    found = os.path.expanduser(folder)
+    return os.path.abspath(found) if str(PurePath(found)).startswith("~") else found
+
+
 def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
     """Raise UserError if a config, not the command line, names a folder outside the working folder
-    or another machine.
+    or another machine, or very many replications.
 
     Data from a scheduler are unpickled, so its owner could run code on this machine.
     """
     out = PurePath(runner.out)
     if "runner.out" not in typed and (
-        out.is_absolute() or ".." in out.parts or runner.out.startswith("~")
+        out.is_absolute()
+        or ".." in out.parts
+        or runner.out.startswith("~")
+        or not Path(out).resolve().is_relative_to(Path.cwd().resolve())  # by a link
     ):
         allowed = (
             "a folder below the working folder, "
             "or any folder given as runner.out=... on the command line"
         )
         raise BadValue("runner.out", runner.out, allowed)
+    if "until.max_reps" not in typed and runner.until:
+        check_number("until.max_reps", runner.until.max_reps, least=1, most=_MOST_REPS)
     own = (
         runner.address in (None, os.environ.get("DASK_SCHEDULER_ADDRESS"))
         or "runner.address" in typed

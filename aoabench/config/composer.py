@@ -96,9 +96,9 @@ class Composer:
             return True
         key = override.key_or_group
         if key not in self.groups:
-            loader = GlobalHydra.instance().config_loader()
+            loader: Any = GlobalHydra.instance().config_loader()
             self.groups[key] = loader.repository.group_exists(key)
-        return self.groups[key] and not isinstance(override.value(), dict)
+        return bool(self.groups[key]) and not isinstance(override.value(), dict)
 
 
 def _with(values: Sequence[Any], base: _Base) -> Mapping[str, Any]:
@@ -121,7 +121,7 @@ def _with(values: Sequence[Any], base: _Base) -> Mapping[str, Any]:
     OmegaConf.set_struct(part, True)
     _set(values, part)
     changed: Any = OmegaConf.to_container(part, resolve=False)
-    return {key: node for key, node in base.nodes.items() if key not in own} | changed
+    return {**{key: node for key, node in base.nodes.items() if key not in own}, **changed}
 
 
 def _set(values: Sequence[Any], cfg: Any) -> None:

@@ -27,7 +27,8 @@ def explained(settings: Sequence[Setting], config_dir: str | None = None) -> Ite
     except RecursionError:
         words = shorten(" ".join(shorten(s.word) for s in settings))
         raise UserError(
-            f"{words}: cannot be composed: a value is nested too deeply, or a config contains itself"
+            f"{words}: cannot be composed: a value is nested too deeply, "
+            "or a config contains itself"
         ) from None
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_explain(error, settings, config_dir)) from None

@@ -109,7 +109,9 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
             "without spaces, with a key of letters, digits, _ and dots"
         )
     line = typed
-    if name in PATH_KEYS and value:
+    if name == "runner.out" and value:
+        line = f"{head}={_folder(parser, value, sweep)}"
+    elif name in PATH_KEYS and value:
         line = f"{head}={_file_names(parser, value, sweep)}"
     if head == name and _OF_A_PLUG_IN.match(name):
         line = f"++{line}"  # the class defines the parameters, not the preset
@@ -162,6 +164,19 @@ def _file_names(parser: Any, value: str, sweep: bool) -> str:
     if not sweep or "," not in value:
         return _quoted(value.strip())
     return ",".join(_file_names(parser, piece.strip(), False) for piece in _pieces(value))
+
+
+def _folder(parser: Any, value: str, sweep: bool) -> str:
+    """The value of runner.out as Hydra reads it: the folder of exactly this name, unless the value
+    is in quotes, holds an interpolation, or is a sweep, which is refused later.
+    """
+    from hydra.core.override_parser.types import QuotedString, Sweep
+
+    found = _parsed_value(parser, value)
+    kept = isinstance(found, QuotedString) or "${" in value
+    if not kept and sweep and (isinstance(found, Sweep) or "," in value):
+        return _file_names(parser, value, sweep)
+    return value if kept else _quoted(value)
 
 
 def _stays(found: Any) -> bool:
@@ -227,7 +242,8 @@ def _values(setting: Setting) -> list[str]:
     setting.parsed.config_loader = GlobalHydra.instance().config_loader()
     value, too_many = setting.value, f"more than {_MOST_VALUES} values, the allowed maximum"
     if isinstance(value, RangeSweep) and value.step:  # if shuffled, Hydra makes a list of it
-        assert value.start is not None and value.stop is not None
+        assert value.start is not None
+        assert value.stop is not None
         if (value.stop - value.start) / value.step > _MOST_VALUES:
             raise UserError(f"{shorten(setting.word)}: {too_many}")
     try:

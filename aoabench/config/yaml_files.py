@@ -32,7 +32,7 @@ def load(file: Path) -> Any:
     try:
         text = _text(file)
         _check_size(text, get_yaml_loader())
-        nodes = yaml.load(text, Loader=get_yaml_loader())  # noqa: S506 - a SafeLoader
+        nodes = yaml.load(text, Loader=get_yaml_loader())  # a SafeLoader
     except yaml.MarkedYAMLError as error:
         raise Unreadable(_complaint(error)) from None
     except yaml.reader.ReaderError as error:
@@ -75,12 +75,13 @@ def _check_size(text: str, loader: Any) -> None:
     known: dict[str, _Counted] = {}
     total = _Counted(None)
     for event in yaml.parse(text, Loader=loader):
-        node = _Counted(event.anchor if isinstance(event, yaml.NodeEvent) else None)
-        where = f"line {event.start_mark.line + 1}"
+        anchor = event.anchor if isinstance(event, yaml.NodeEvent) else None
+        node = _Counted(anchor)
+        where = f"line {event.start_mark.line + 1}" if event.start_mark else "line 1"
         if isinstance(event, yaml.AliasEvent):
-            if any(one.anchor == event.anchor for one in opened):
-                raise Unreadable(f"{where}: *{shorten(event.anchor, 80)} contains itself")
-            node = known.get(event.anchor, node)
+            if any(one.anchor == anchor for one in opened):
+                raise Unreadable(f"{where}: *{shorten(str(anchor), 80)} contains itself")
+            node = known.get(str(anchor), node)
         elif isinstance(event, yaml.CollectionStartEvent):
             opened.append(node)
             if len(opened) > MOST_LEVELS:

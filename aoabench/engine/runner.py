@@ -19,6 +19,7 @@ from aoabench.engine.workers import compute_all, cores
 from aoabench.errors import RunError
 from aoabench.maths import statistics
 from aoabench.store import tables
+from aoabench.store.claim import claim
 from aoabench.store.files import locked
 from aoabench.store.folder import errors, known_timing, record_cell, replay_command, values
 from aoabench.store.keys import draws_key, part_key
@@ -53,12 +54,13 @@ class RunReport:
 def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
     """Compute the missing parts of all cells and make the tables. The cells share one runner.out.
 
-    Raises UserError if the output folder cannot be written, and RunError for an error during the
-    run (a full disk, a killed worker, more failures than allowed). Finished parts are kept and
-    shown in the tables where possible; the same call continues from them.
+    Raises UserError if the output folder cannot be written or holds anything but runs, and RunError
+    for an error during the run (a full disk, a killed worker, more failures than allowed). Finished
+    parts are kept and shown in the tables where possible; the same call continues from them.
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
+    claim(out, cells[0].runner.out)
     with explained(out), locked(out, report):
         return _Run(out, cells, progress).run()
 

@@ -221,7 +221,10 @@ def test_pipes_are_no_configs(tmp_path):
 
 @pytest.mark.parametrize("error", [RecursionError("x"), yaml.YAMLError("x"), ValueError("x")])
 def test_the_net_under_hydra(error):
-    with pytest.raises(UserError, match=r"^seed=3: cannot be composed: "), explained(read(["seed=3"])):
+    with (
+        pytest.raises(UserError, match=r"^seed=3: cannot be composed: "),
+        explained(read(["seed=3"])),
+    ):
         raise error
 
 
