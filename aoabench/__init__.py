@@ -57,11 +57,16 @@ def run(
     for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
-    from aoabench.config.overrides import file_setting
-    from aoabench.engine import runner
+    from aoabench.engine import faults, runner
 
-    given = [*overrides, *([file_setting("runner.out", os.fspath(out))] if out is not None else [])]
-    cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
+    cells = compose_cells(
+        overrides,
+        config_dir=config_dir,
+        plugins=plugins,
+        extra=estimators,
+        out=None if out is None else _literal(out),
+        say=faults.report if progress else None,
+    )
     frame = load(runner.run(cells, progress).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
     return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
@@ -75,7 +80,7 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """
     from aoabench.store import tables
 
-    return tables.load(out)
+    return tables.load(_literal(out))
 
 
 def compare(
@@ -89,4 +94,10 @@ def compare(
     """
     from aoabench.store import compare as compare_module
 
-    return compare_module.compare(run, baseline, metric)
+    return compare_module.compare(_literal(run), baseline, metric)
+
+
+def _literal(path: str | os.PathLike[str]) -> str:
+    """The path with a leading ~ as part of the name, which Arrow would take for a home folder."""
+    text = os.fspath(path)
+    return os.path.abspath(text) if text.startswith("~") else text

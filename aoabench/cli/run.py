@@ -135,8 +135,9 @@ def _simulate(
     from aoabench.cli import show
     from aoabench.config import compose
     from aoabench.engine import runner
+    from aoabench.engine.faults import report
 
-    cells = compose.compose_cells(words, config_dir=config_dir, sweep=sweep)
+    cells = compose.compose_cells(words, config_dir=config_dir, sweep=sweep, say=report)
     notes = list(dict.fromkeys(line for cell in cells for line in cell.notes))
     for line in notes:
         print(line, file=sys.stderr)

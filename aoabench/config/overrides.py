@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ PATH_KEYS = ("scenario.path", "scenario.anchors", "scenario.walls", "scenario.tr
 
 _TOP_LEVEL = (*GROUPS, "reps", "seed", "plugins", "store.steps", "until.metric", "runner.out")
 _MOST_VALUES = 100_000  # of one swept key
+_MOST_CELLS = 1_000_000  # of a sweep
 _KEY = re.compile(r"[A-Za-z_$][\w$-]*([./][\w$-]+)*(@[\w$.-]*)?", re.ASCII)
 # a value between commas: in quotes, or up to the next comma
 _PIECE = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')\s*(?=,|$)|[^,]*""", re.DOTALL)
@@ -78,13 +80,18 @@ def jobs(settings: Sequence[Setting]) -> list[list[str]]:
     """The lines of each job: all combinations of the values of swept keys; a key's last setting
     counts. Call this where Hydra is initialised.
 
-    Raises UserError for a sweep whose values cannot be counted.
+    Raises UserError for a sweep whose values cannot be counted, or over too many cells.
     """
     lines: dict[str, list[str]] = {}
     for setting in settings:
         key = setting.parsed.get_key_element()
-        swept = setting.is_sweep
-        lines[key] = [f"{key}={v}" for v in _values(setting)] if swept else [setting.line]
+        lines[key] = (
+            [f"{key}={v}" for v in _values(setting)] if setting.is_sweep else [setting.line]
+        )
+    count = math.prod(map(len, lines.values()))
+    if count > _MOST_CELLS:
+        swept = " ".join(shorten(s.word, 80) for s in settings if s.is_sweep)
+        raise UserError(f"{swept}: a sweep over {count} cells; allowed: at most {_MOST_CELLS}")
     return [list(job) for job in itertools.product(*lines.values())]
 
 
@@ -102,7 +109,9 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
             "without spaces, with a key of letters, digits, _ and dots"
         )
     line = typed
-    if name in PATH_KEYS and value:
+    if name == "runner.out" and value:
+        line = f"{head}={_folder(parser, value, sweep)}"
+    elif name in PATH_KEYS and value:
         line = f"{head}={_file_names(parser, value, sweep)}"
     if head == name and _OF_A_PLUG_IN.match(name):
         line = f"++{line}"  # the class defines the parameters, not the preset
@@ -157,6 +166,19 @@ def _file_names(parser: Any, value: str, sweep: bool) -> str:
     return ",".join(_file_names(parser, piece.strip(), False) for piece in _pieces(value))
 
 
+def _folder(parser: Any, value: str, sweep: bool) -> str:
+    """The value of runner.out as Hydra reads it: the folder of exactly this name, unless the value
+    is in quotes, holds an interpolation, or is a sweep, which is refused later.
+    """
+    from hydra.core.override_parser.types import QuotedString, Sweep
+
+    found = _parsed_value(parser, value)
+    kept = isinstance(found, QuotedString) or "${" in value
+    if not kept and sweep and (isinstance(found, Sweep) or "," in value):
+        return _file_names(parser, value, sweep)
+    return value if kept else _quoted(value)
+
+
 def _stays(found: Any) -> bool:
     """Whether a value that Hydra has parsed needs no quotes: it is a text, or cannot be a file name
     (null, a list, a mapping, a sweep by a function).
@@ -209,6 +231,7 @@ def _leaves(value: Any) -> Iterator[str]:
 def _values(setting: Setting) -> list[str]:
     """The values of a sweep, as Hydra reads them."""
     from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.override_parser.types import RangeSweep
     from hydra.errors import HydraException
 
     if not setting.parsed.is_discrete_sweep():
@@ -217,14 +240,18 @@ def _values(setting: Setting) -> list[str]:
             "allowed: VALUE,VALUE or range(START,STOP,STEP)"
         )
     setting.parsed.config_loader = GlobalHydra.instance().config_loader()
+    value, too_many = setting.value, f"more than {_MOST_VALUES} values, the allowed maximum"
+    if isinstance(value, RangeSweep) and value.step:  # if shuffled, Hydra makes a list of it
+        assert value.start is not None
+        assert value.stop is not None
+        if (value.stop - value.start) / value.step > _MOST_VALUES:
+            raise UserError(f"{shorten(setting.word)}: {too_many}")
     try:
         found = list(itertools.islice(setting.parsed.sweep_string_iterator(), _MOST_VALUES + 1))
     except (HydraException, ValueError, TypeError) as error:
         raise UserError(f"{shorten(setting.word)}: {_reason(error)}") from None
     if len(found) > _MOST_VALUES:
-        raise UserError(
-            f"{shorten(setting.word)}: more than {_MOST_VALUES} values, the allowed maximum"
-        )
+        raise UserError(f"{shorten(setting.word)}: {too_many}")
     return found
 
 

@@ -15,7 +15,9 @@ def options(group: str, config_dir: str | None = None) -> dict[str, str]:
     found: dict[str, str] = {}
     for root in (shipped("configs"), *([Path(config_dir)] if config_dir else [])):
         for file in sorted((root / group).glob("*.yaml")):
-            head = file.read_text(encoding="utf-8").splitlines()
+            if not file.is_file():
+                continue
+            head = file.read_text(encoding="utf-8", errors="replace").splitlines()
             lines = [
                 line[1:].strip() for line in head if line.startswith("#") and "@package" not in line
             ]

@@ -19,6 +19,7 @@ from aoabench.engine.workers import compute_all, cores
 from aoabench.errors import RunError
 from aoabench.maths import statistics
 from aoabench.store import index, tables
+from aoabench.store.claim import claim
 from aoabench.store.files import locked
 from aoabench.store.folder import errors, record_cell, replay_command, values
 from aoabench.store.keys import Origin, RunKeys
@@ -50,13 +51,14 @@ def run(cells: Sequence[Cell], progress: bool = True, fresh: bool = False) -> Ru
     """Compute the missing parts of all cells and make the tables. The cells share one runner.out.
     With `fresh`, compute all of their parts and replace the stored ones.
 
-    Raises UserError if the output folder cannot be written, or if code or a data file was changed
-    after this process loaded it; RunError for an error during the run (a full disk, a killed
-    worker, more failures than allowed). Finished parts are kept and shown in the tables where
-    possible; the same call continues from them.
+    Raises UserError if the output folder cannot be written or holds anything but runs, or if code
+    or a data file was changed after this process loaded it; RunError for an error during the run (a
+    full disk, a killed worker, more failures than allowed). Finished parts are kept and shown in
+    the tables where possible; the same call continues from them.
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
+    claim(out, cells[0].runner.out)
     keys = RunKeys.of(cells)  # before the wait for the lock: keys name what is loaded now
     for line in keys.notes:
         report(line)

@@ -109,7 +109,9 @@ def write_atomically(path: Path, write: Any) -> None:
     a file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
+    # absolute, because Arrow takes a relative path with a colon for a URI
+    unique = f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}"
+    temporary = path.absolute().with_name(unique)
     try:
         write(temporary)
         os.replace(temporary, path)
