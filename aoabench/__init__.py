@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aoabench import loaded  # noqa: F401 - first: it records the modules below
@@ -78,9 +79,11 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """Return the table of the run in folder `out`: one row per cell x estimator x replication, and
     one column per swept parameter.
     """
+    from aoabench.engine.faults import explained
     from aoabench.store import tables
 
-    return tables.load(_literal(out))
+    with explained(Path(out)):
+        return tables.load(_literal(out))
 
 
 def compare(
@@ -92,9 +95,11 @@ def compare(
     cell) with its interval, the p-value by Holm's method over the table, and a summary line. See
     `store.compare.compare` for the columns.
     """
+    from aoabench.engine.faults import explained
     from aoabench.store import compare as compare_module
 
-    return compare_module.compare(_literal(run), baseline, metric)
+    with explained(Path(run)):
+        return compare_module.compare(_literal(run), baseline, metric)
 
 
 def _literal(path: str | os.PathLike[str]) -> str:

@@ -70,6 +70,10 @@ class RunnerOptions:
     steps: bool = False
     max_failed: float = 0.5
     until: Until | None = None
+    other_machines: str = "report"
+    tls_ca_file: str | None = None
+    tls_cert: str | None = None
+    tls_key: str | None = None
 
     def __post_init__(self) -> None:
         local = max(64, 4 * (os.cpu_count() or 1))  # more would only use up the memory
@@ -92,6 +96,30 @@ class RunnerOptions:
             raise BadValue("runner.out", self.out, "the path of a folder")
         if not isinstance(self.steps, bool):
             raise BadValue("store.steps", self.steps, "true or false")
+        check_choice("runner.other_machines", self.other_machines, ("report", "refuse"))
+        self._check_tls()
+
+    @property
+    def tls(self) -> dict[str, str | None]:
+        """The files of TLS by the names of their options; None for those that are not given."""
+        names = ("tls_ca_file", "tls_cert", "tls_key")
+        return {name: getattr(self, name) for name in names}
+
+    def _check_tls(self) -> None:
+        """Raise BadValue unless all files of TLS are given and can be read, or none is given."""
+        if set(self.tls.values()) == {None}:
+            return
+        for name, file in self.tls.items():
+            if not isinstance(file, str) or not _can_be_read(file):
+                allowed = f"a file in PEM that can be read, as {', '.join(self.tls)} go together"
+                raise BadValue(f"runner.{name}", file, allowed)
+        if not str(self.address).startswith("tls://"):
+            raise BadValue("runner.address", self.address, "tls://HOST:PORT, with runner.tls_key")
+
+
+def _can_be_read(file: str) -> bool:
+    path = os.path.expanduser(file)
+    return "\0" not in file and os.path.isfile(path) and os.access(path, os.R_OK)
 
 
 def _is_address(value: object) -> bool:

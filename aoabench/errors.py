@@ -42,6 +42,10 @@ class RunError(Exception):
     """
 
 
+class WriteError(OSError):
+    """A file could not be written: errno, the system's reason, and the file's name."""
+
+
 class BadValue(UserError, ValueError):
     """A parameter out of range: its `key`, the given `value`, and the `allowed` values in words."""
 

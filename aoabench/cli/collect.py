@@ -29,7 +29,7 @@ def collect(run: Path, as_json: bool) -> None:
     {name: path}.
     """
     from aoabench.store import folder, tables
-    from aoabench.store.files import locked
+    from aoabench.store.lock import locked
 
     noted = folder.records(run)
     if not noted:

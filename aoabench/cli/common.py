@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from aoabench.engine.faults import explained
 from aoabench.errors import did_you_mean, shorten
 
 _QUIET = "aoabench.quiet"
@@ -35,13 +36,21 @@ QUIET: dict[str, Any] = {
 
 
 class Command(click.Command):
-    """A subcommand with -q, which keeps everything but errors off standard error."""
+    """A subcommand with -q, which keeps everything but errors off standard error.
+
+    Errors of the machine become one line (see engine.faults).
+    """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.params.append(click.Option(["-q", "--quiet"], **QUIET))
 
     def invoke(self, ctx: click.Context) -> Any:
+        folder = ctx.params.get("run") or ctx.params.get("results")
+        with explained(folder):
+            return self._invoke(ctx)
+
+    def _invoke(self, ctx: click.Context) -> Any:
         if not ctx.meta.get(_QUIET):
             return super().invoke(ctx)
         with (

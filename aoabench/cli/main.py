@@ -7,10 +7,12 @@ Exit status: 0 done, 2 the user's mistake (one line), 129 hung up, 130 interrupt
 from __future__ import annotations
 
 import io
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
@@ -18,6 +20,7 @@ from typing import Any, NoReturn
 import click
 
 from aoabench import __version__
+from aoabench.cli import crash
 from aoabench.cli.collect import collect
 from aoabench.cli.common import QUIET
 from aoabench.cli.compare import compare
@@ -27,9 +30,11 @@ from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
 from aoabench.config.presets import GROUPS
+from aoabench.engine.faults import KEPT, explained
 from aoabench.errors import RunError, UserError, did_you_mean, shorten
 
 _STOPPED = {"SIGHUP": "hung up", "SIGINT": "interrupted", "SIGTERM": "terminated"}
+_GRACE_S = 5  # after the first signal
 
 
 class _Commands(click.Group):
@@ -68,7 +73,8 @@ def cli(ctx: click.Context) -> None:
       aoabench compare results/raw/sigma
 
     `aoabench COMMAND --help` describes a command. The exit status is 0 when the command is done, 2
-    after a mistake in the input, 130 when interrupted and 1 for anything else.
+    after a mistake in the input, 130 when interrupted and 1 for anything else. With the environment
+    variable AOABENCH_DEBUG=1 errors are printed with their traceback.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
@@ -92,24 +98,30 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     if isinstance(sys.stdout, io.TextIOWrapper):  # its encoding may lack ± or parts of file names
         sys.stdout.reconfigure(errors="backslashreplace")
     with _signals() as received:
-        try:
-            sys.exit(dispatch(arguments))
-        except UserError as error:
-            _complain(str(error))
-            sys.exit(2)
-        except RunError as error:
-            _complain(str(error))
-            sys.exit(1)
-        except KeyboardInterrupt:
-            number = received[0] if received else signal.SIGINT
-            _complain(
-                f"{_STOPPED[number.name]}; finished parts are kept, "
-                "the same command continues from them"
-            )
-            sys.exit(128 + number)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            sys.exit(1)
+        sys.exit(_status(arguments, received))
+
+
+def _status(arguments: Sequence[str], received: Sequence[signal.Signals]) -> int:
+    """Run one subcommand and return its exit status; an exception becomes one line."""
+    debug = bool(os.environ.get(crash.DEBUG))
+    try:
+        with explained():
+            status = dispatch(arguments)
+            sys.stdout.flush()  # a full disk is reported here
+        return status
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt:
+        number = received[0] if received else signal.SIGINT
+        _complain(f"{_STOPPED[number.name]}; {KEPT}")
+        return 128 + number
+    except Exception as error:
+        if debug:
+            raise
+        known = isinstance(error, UserError | RunError)
+        _complain(str(error) if known else crash.reported(error))
+        return 2 if isinstance(error, UserError) else 1
 
 
 def dispatch(arguments: Sequence[str]) -> int:
@@ -178,23 +190,28 @@ def _complain(line: str) -> None:
 def _signals() -> Iterator[list[signal.Signals]]:
     """Handle SIGTERM and SIGHUP like Ctrl-C; yield the list of received signals.
 
-    Signals that are ignored, such as SIGHUP under nohup, stay ignored.
+    Signals that are ignored, such as SIGHUP under nohup, stay ignored. Further signals within
+    _GRACE_S of the first are ignored, so that they do not disturb the end; all are ignored once a
+    signal has ended the command, because the process ends too.
     """
     received: list[signal.Signals] = []
+    first = [math.inf]
 
     def stop(number: int, _frame: object) -> None:
         received.append(signal.Signals(number))
-        raise KeyboardInterrupt
+        first[0] = min(first[0], time.monotonic())
+        if len(received) == 1 or time.monotonic() > first[0] + _GRACE_S:
+            raise KeyboardInterrupt
 
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     mine = threading.current_thread() is threading.main_thread()
+    usual = (signal.SIG_DFL, signal.default_int_handler)
     before = {
         number: signal.signal(number, stop)
-        for number in (getattr(signal, name) for name in names)
-        if mine and signal.getsignal(number) is signal.SIG_DFL
+        for number in (getattr(signal, name) for name in _STOPPED if hasattr(signal, name))
+        if mine and signal.getsignal(number) in usual
     }
     try:
         yield received
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if received else handler)

@@ -295,3 +295,6 @@ def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
             "or the environment variable DASK_SCHEDULER_ADDRESS"
         )
         raise BadValue("runner.address", runner.address, allowed)
+    for name, file in runner.tls.items():
+        if file is not None and f"runner.{name}" not in typed:
+            raise BadValue(f"runner.{name}", file, f"runner.{name}=... on the command line")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import platform
 import sys
 import time
@@ -11,8 +12,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from aoabench.cell import RunnerOptions
+from aoabench.engine.machines import check_same
 from aoabench.engine.tasks import Loss, Task, kind_of, numbered
-from aoabench.errors import RunError, UserError
+from aoabench.errors import BadValue, RunError, UserError
 from aoabench.roles import PlainEstimator
 from aoabench.store.parts import has_part
 
@@ -22,13 +25,21 @@ _TIMEOUT_S = 90  # for a first worker to connect, and for written parts to becom
 _CONNECT_S = 10  # for a scheduler to answer
 
 
-@contextmanager
-def cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
-    """Yield joblib's backend for the Dask cluster whose scheduler listens at `address`; its workers
-    import from the same path as this process.
+# distributed's names of the options
+_SECURITY = {
+    "tls_ca_file": "tls_ca_file",
+    "tls_cert": "tls_client_cert",
+    "tls_key": "tls_client_key",
+}
 
-    Raises UserError if no scheduler answers or if the scheduler cannot import the modules of the
-    tasks, and RunError if no worker connects within the timeout.
+
+@contextmanager
+def cluster(options: RunnerOptions, tasks: Sequence[Task]) -> Iterator[Any]:
+    """Yield joblib's backend for the Dask cluster whose scheduler listens at options.address; its
+    workers import from the same path as this process.
+
+    Raises UserError if no scheduler answers, if the files of TLS cannot be used or if the scheduler
+    cannot import the modules of the tasks, and RunError if no worker connects within the timeout.
     """
     try:
         from distributed import Client
@@ -37,9 +48,12 @@ def cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
             "runner.backend=dask needs Dask; install it with pip install 'aoabench[dask]'"
         ) from None
     connect: Any = Client  # untyped
-    key = f"runner.address={address!r}"
+    key = f"runner.address={options.address!r}"
+    secured: dict[str, Any] = {}
+    if str(options.address).startswith("tls://"):
+        secured = {"security": _security(options)}
     try:
-        client = connect(address, timeout=_CONNECT_S, set_as_default=False)
+        client = connect(options.address, timeout=_CONNECT_S, set_as_default=False, **secured)
     except (OSError, TimeoutError) as error:
         raise UserError(
             f"{key}: no scheduler answers at this address ({type(error).__name__})"
@@ -57,6 +71,30 @@ def cluster(address: str | None, tasks: Sequence[Task]) -> Iterator[Any]:
         except TimeoutError:
             raise RunError(f"{key}: no worker has connected within {_TIMEOUT_S} s") from None
         yield _backend()(client=client)
+
+
+def _security(options: RunnerOptions) -> Any:
+    """distributed's Security of an encrypted connection, from the given files, or else from Dask's
+    own configuration. Raises UserError if there are none, or if they cannot be used.
+    """
+    from distributed.security import Security
+
+    make: Any = Security  # untyped
+    files = {name: os.path.expanduser(file) for name, file in options.tls.items() if file}
+    names = ", ".join(f"runner.{name}" for name in options.tls)
+    if files and "ENCRYPTED" in Path(files["tls_key"]).read_text(errors="replace"):
+        raise BadValue("runner.tls_key", options.tls_key, "the file of a key without a passphrase")
+    try:
+        found = make(require_encryption=True, **{_SECURITY[name]: files[name] for name in files})
+        context = found.get_connection_args("client").get("ssl_context")
+    except (OSError, ValueError) as error:  # of ssl
+        raise UserError(f"{names}: cannot be used: {error}") from None
+    if context is None:
+        raise UserError(
+            f"runner.address={options.address!r}: an encrypted connection needs {names}, "
+            "or distributed.comm.tls in Dask's own configuration"
+        )
+    return found
 
 
 def _modules(tasks: Sequence[Task]) -> set[str]:
@@ -110,13 +148,17 @@ def _add_path(path: Sequence[str], modules: Sequence[str]) -> str | None:
     return None
 
 
-def compute_remotely(number: int, task: Task, out: Path) -> tuple[int, dict[str, Loss]]:
+def compute_remotely(
+    number: int, task: Task, out: Path, kind: dict[str, str]
+) -> tuple[int, dict[str, Loss]]:
     """Compute a task on a worker, possibly on another machine; return its number and losses.
 
-    Raises RunError if the worker's code differs from this run's, or if the worker does not see the
-    folder `out`.
+    Raises RunError if the worker's code differs from this run's, if the worker does not see the
+    folder `out`, or if the run refuses processors of another `kind` than its own and this is one.
     """
     here = platform.node()
+    if task.cell.runner.other_machines == "refuse":
+        check_same(kind, here)
     for name, _ in task.origin.differences():
         raise RunError(
             f"the worker on {here} has another version of {name} than this run; "

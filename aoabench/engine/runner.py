@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import math
 import time
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from aoabench.cell import Cell, Until
-from aoabench.engine import tiles
-from aoabench.engine.faults import explained, report, writable
+from aoabench.engine.faults import KEPT, explained, report, writable
+from aoabench.engine.machines import Machines
+from aoabench.engine.planning import merged, tasks_of
 from aoabench.engine.tasks import Loss, Task, kind_of
 from aoabench.engine.timing import time_estimators
-from aoabench.engine.workers import compute_all, cores
+from aoabench.engine.workers import compute_all
 from aoabench.errors import RunError
 from aoabench.maths import statistics
 from aoabench.store import index, tables
 from aoabench.store.claim import claim
-from aoabench.store.files import locked
 from aoabench.store.folder import errors, record_cell, replay_command, values
-from aoabench.store.keys import Origin, RunKeys
-from aoabench.store.parts import Part, discard, examined, intact_parts, missing_ranges
+from aoabench.store.keys import RunKeys
+from aoabench.store.lock import Lock, locked
+from aoabench.store.parts import discard, examined, intact_parts, missing_ranges
 
-_LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
 _FEW = 100  # replications; cells with fewer are timed once, others up to three times
 _GIVE_UP_AFTER = 100  # replications; a cell stops if at least this many have all failed
 
@@ -62,17 +61,23 @@ def run(cells: Sequence[Cell], progress: bool = True, fresh: bool = False) -> Ru
     keys = RunKeys.of(cells)  # before the wait for the lock: keys name what is loaded now
     for line in keys.notes:
         report(line)
-    with explained(out), locked(out, report):
-        return _Run(out, cells, keys, progress, fresh).run()
+    with explained(out, KEPT), locked(out, report) as lock:
+        return _Run(out, cells, keys, lock, progress, fresh).run()
 
 
 class _Run:
     """One run over cells that share an output folder, whose lock the caller holds."""
 
     def __init__(
-        self, out: Path, cells: Sequence[Cell], keys: RunKeys, progress: bool, fresh: bool
+        self,
+        out: Path,
+        cells: Sequence[Cell],
+        keys: RunKeys,
+        lock: Lock,
+        progress: bool,
+        fresh: bool,
     ) -> None:
-        self.out, self.cells, self.progress = out, cells, progress
+        self.out, self.cells, self.progress, self.lock = out, cells, progress, lock
         self.options = cells[0].runner
         self.draws, self.keys, self.origins = keys.draws, keys.parts, keys.origins
         self.stale = {key for some in keys.parts.values() for key in some.values() if fresh}
@@ -82,6 +87,9 @@ class _Run:
         self.stopped: dict[str, str] = {}  # by cell: the reason
         self.precision: dict[str, dict[str, dict[str, Any]]] = {}  # by cell and estimator
         self.damaged: list[Path] = []
+        self.machines = Machines(
+            self.options.other_machines == "refuse", remote=self.options.backend == "dask"
+        )
         self.computed = 0
 
     def run(self) -> RunReport:
@@ -100,7 +108,10 @@ class _Run:
             ]
             if not running:
                 break
+        self.lock.check()
+        self.machines.compare(self.out, {key for one in self.keys.values() for key in one.values()})
         reached = self._tabulate()
+        self.lock.check()
         if self.stopped:
             raise RunError("; ".join(self.stopped.values()))
         precision = [
@@ -152,16 +163,23 @@ class _Run:
                             "computed again"
                         )
                     self.damaged += damaged
+                    self.machines.note(parts, self._most(cell))
                     self.losses[key] = Loss.of(errors(parts, goal, lost=True))
                     self.stored[key] = min(sum(part.stop - part.start for part in parts), goal)
                     done[name] = parts
                 self._check(cell, name)
             if cell.id not in self.stopped:
-                tasks += _tasks(cell, self.keys[cell.id], self.origins[cell.id], done, goal)
+                tasks += tasks_of(cell, self.keys[cell.id], self.origins[cell.id], done, goal)
+        self.machines.settle()
         return tasks
+
+    def _most(self, cell: Cell) -> int:
+        """The largest number of replications that the cell may reach."""
+        return self.options.until.max_reps if self.options.until else cell.reps
 
     def _note(self, task: Task, losses: Mapping[str, Loss]) -> None:
         """Enter the replications and losses of a finished task."""
+        self.lock.check()
         self.computed += task.size
         for name, key in task.keys.items():
             self.losses[key] += losses.get(name, Loss())
@@ -234,53 +252,6 @@ class _Run:
         done = [(part.start, part.stop) for part in intact_parts(self.out, key, kind_of(cell))]
         gaps = missing_ranges(done, self.goal[cell.id])
         return gaps[0][0] if gaps else self.goal[cell.id]
-
-
-def merged(cells: Sequence[Cell]) -> list[Cell]:
-    """Merge cells of the same scenario, noise, seed and parameters into one with all their
-    estimators; return the cells, largest first.
-    """
-    found: dict[str, Cell] = {}
-    for cell in cells:
-        other = found.setdefault(cell.id, cell)
-        if other is not cell:
-            config = dict(other.config)
-            for group in ("filter", "estimator"):
-                config[group] = {**(other.config[group] or {}), **(cell.config[group] or {})}
-            found[cell.id] = replace(
-                other,
-                estimators={**other.estimators, **cell.estimators},
-                config=config,
-                reps=max(other.reps, cell.reps),
-                swept=tuple(dict.fromkeys((*other.swept, *cell.swept))),
-            )
-    return sorted(found.values(), key=lambda cell: -cell.reps)
-
-
-def _tasks(
-    cell: Cell,
-    keys: Mapping[str, str],
-    origin: Origin,
-    done: Mapping[str, list[Part]],
-    goal: int,
-) -> Iterator[Task]:
-    """Yield tasks of whole tiles for the missing replications of the estimators in `done` (name ->
-    stored parts).
-
-    Estimators with the same tile size and the same gap share a task, and so its draws.
-    """
-    gaps: dict[tuple[int, int, int], dict[str, str]] = defaultdict(dict)
-    for name, parts in done.items():
-        ranges = [(part.start, part.stop) for part in parts if kind_of(cell) in part.files]
-        for gap in missing_ranges(ranges, goal):
-            gaps[*gap, tiles.tile_of(cell.estimators[name], cell.scenario)][name] = keys[name]
-    for (start, stop, tile), names in sorted(gaps.items()):
-        chunk = cell.runner.chunk or min(
-            math.ceil((stop - start) / (16 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK
-        )
-        chunk = math.ceil(chunk / tile) * tile
-        for first in range(start - start % chunk, stop, chunk):
-            yield Task(cell, names, origin, max(first, start), min(first + chunk, stop))
 
 
 def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:

@@ -10,6 +10,8 @@ from aoabench.cell import Cell
 from aoabench.engine.block import run_block
 from aoabench.store.files import provenance
 from aoabench.store.keys import Origin
+from aoabench.store.lock import check_held
+from aoabench.store.machine import machine
 from aoabench.store.parts import has_part, write_part
 
 
@@ -67,15 +69,17 @@ def compute(task: Task, out: Path) -> dict[str, Loss]:
     """
     cell = task.cell
     task.origin.check()
+    check_held(out)
     kind, span = kind_of(cell), (task.start, task.stop)
     missing = [name for name, key in task.keys.items() if not has_part(out, key, *span, kind)]
     estimators = {name: cell.estimators[name] for name in missing}
     blocks = run_block(cell.scenario, cell.noise, estimators, cell.seed, *span, cell.runner.steps)
     task.origin.check()
     losses = {}
+    check_held(out)  # no folder is made in the place of one that was moved meanwhile
     for name, block in blocks.items():
         origin = provenance({**cell.config, "this_estimator": name})
-        write_part(out, task.keys[name], *span, block, origin)
+        write_part(out, task.keys[name], *span, block, origin, machine())
         if "failures" in block:
             errors = dict(
                 zip(block["failures"]["replication"].tolist(), block["failures"]["error"])

@@ -6,8 +6,9 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from aoabench.engine.dask import cluster, compute_remotely, wait_until_seen
 from aoabench.engine.tasks import Loss, Task, numbered
+from aoabench.store.machine import machine
 
 _WAITING_TASKS = 256  # queued on a cluster, for workers that connect later
 
@@ -47,19 +49,17 @@ def compute_all(
         results = (numbered(i, task, out) for i, task in wanted)
     else:
         results = _on_this_machine(tasks, wanted, out)
-    with _bar(sum(task.size for task in tasks), progress) as advance:
+    with closing(results), _bar(sum(task.size for task in tasks), progress) as advance:
         for number, losses in results:
             note(tasks[number], losses)
             advance(tasks[number].size)
 
 
 Numbered = tuple[int, Task]
-Result = tuple[int, dict[str, Loss]]
+Results = Generator[tuple[int, dict[str, Loss]], None, None]
 
 
-def _on_this_machine(
-    tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path
-) -> Iterator[Result]:
+def _on_this_machine(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) -> Results:
     """The results of tasks on processes or threads, in the order in which they are done."""
     from joblib import Parallel, delayed
 
@@ -77,16 +77,27 @@ def _on_this_machine(
     )
     # threads share one BLAS: limit it here, once, not in each block
     with threadpool_limits(1) if options.backend == "threading" else nullcontext():
-        yield from parallel(delayed(numbered)(i, task, out) for i, task in wanted)
+        yield from _results(parallel(delayed(numbered)(i, task, out) for i, task in wanted))
 
 
-def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) -> Iterator[Result]:
+def _results(found: Results) -> Results:
+    """joblib's results, without its warning that some are not used after an exception."""
+    try:
+        for one in found:  # noqa: UP028 - `yield from` would close `found` before the context below
+            yield one
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            found.close()
+
+
+def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) -> Results:
     """The results of tasks on a Dask cluster, once their parts are visible here."""
     from joblib import Parallel, delayed
 
     # workers open the folder by its full name: their own working folder does not matter
     where = out.resolve()
-    with cluster(tasks[0].cell.runner.address, tasks) as backend:
+    with cluster(tasks[0].cell.runner, tasks) as backend:
         parallel = Parallel(
             -1,
             backend=backend,
@@ -94,8 +105,8 @@ def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) 
             pre_dispatch=_WAITING_TASKS,
             batch_size=1,
         )
-        calls = ((i, task, where) for i, task in wanted)
-        for number, losses in parallel(delayed(compute_remotely)(*call) for call in calls):
+        calls = ((i, task, where, machine()) for i, task in wanted)
+        for number, losses in _results(parallel(delayed(compute_remotely)(*c) for c in calls)):
             wait_until_seen(tasks[number], out)
             yield number, losses
 

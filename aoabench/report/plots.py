@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from aoabench.store.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,10 +68,12 @@ def save(
 
     with plt.style.context(str(STYLE)):
         figure = make()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        for form in formats:
-            figure.savefig(path.with_suffix(f".{form}"), dpi=dpi, metadata=_METADATA[form])
-        plt.close(figure)
+        try:
+            for form in formats:
+                given: dict[str, Any] = {"format": form, "dpi": dpi, "metadata": _METADATA[form]}
+                write_atomically(path.with_suffix(f".{form}"), partial(figure.savefig, **given))
+        finally:
+            plt.close(figure)
     return path
 
 

@@ -1,16 +1,16 @@
-"""Writing files atomically, with provenance and checksums; the lock of a run's folder."""
+"""Writing files atomically, with provenance and checksums."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import functools
 import hashlib
 import json
 import os
-import platform
 import sys
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 from aoabench.columns import IDENTITY, SCHEMA
-from aoabench.errors import RunError, UserError
+from aoabench.errors import RunError, UserError, WriteError
 from aoabench.resources import version
 
 _SCHEMA = b"aoabench_schema"
@@ -67,56 +67,54 @@ def _cpu_features() -> list[str]:
     return sorted([*found.get("baseline", []), *found.get("found", [])])
 
 
-@contextlib.contextmanager
-def locked(out: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Hold the folder's lock, so that one run at a time writes into the folder; call `say` with a
-    line to print if another run has to end first.
-
-    The operating system releases the lock whatever ends the process. On file systems without locks,
-    overlapping runs compute some parts twice, and the tables show the cells of the run that ended
-    last.
-    """
-    try:
-        import fcntl
-    except ImportError:
-        (out / ".lock").touch()
-        yield
-        return
-    with (out / ".lock").open("a+") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            say(
-                f"another run{file.readline().rstrip()} is writing into {out}: "
-                "waiting until it has ended ..."
-            )
-            fcntl.flock(file, fcntl.LOCK_EX)
-        except OSError as error:
-            say(
-                f"{out}: the file system has no locks ({error.strerror}); "
-                "do not start two runs into this folder at once"
-            )
-        file.truncate(0)
-        file.write(f" (process {os.getpid()} on {platform.node()})\n")
-        file.flush()
-        yield
-        file.truncate(0)
-
-
 def write_atomically(path: Path, write: Any) -> None:
     """Call `write(temporary path)` and move the result to `path`, so that a reader never sees half
     a file.
+
+    Raises WriteError for an error of the file system about this file.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     # absolute, because Arrow takes a relative path with a colon for a URI
     unique = f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}"
     temporary = path.absolute().with_name(unique)
     try:
+        _make(path.parent)
         write(temporary)
         os.replace(temporary, path)
+    except OSError as error:
+        if not error.errno or _names_another(error, temporary, path):
+            raise
+        raise WriteError(error.errno, os.strerror(error.errno), str(path)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+_RUNS: set[Path] = set()
+
+
+def never_make(run: Path) -> None:
+    """From now on, writing into the folder `run` of a run is an error if the folder does not exist
+    (any more).
+    """
+    _RUNS.add(run)
+
+
+def _make(folder: Path) -> None:
+    """Create a folder and its parents; FileNotFoundError for the folder of a run."""
+    if folder.is_dir():
+        return
+    if folder in _RUNS:
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(folder))
+    _make(folder.parent)
+    folder.mkdir(exist_ok=True)
+
+
+def _names_another(error: OSError, temporary: Path, path: Path) -> bool:
+    """Whether an error names a file that is read, not the file that is written or its folders."""
+    if error.filename is None:  # Arrow's
+        text = str(error)
+        return temporary.name not in text and ("reading" in text or "open local file" in text)
+    return not temporary.is_relative_to(str(error.filename)) and str(error.filename) != str(path)
 
 
 def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> str:
@@ -239,6 +237,8 @@ def _torn_reported(source: Any) -> Iterator[None]:
 
     try:
         yield
+    except MemoryError:  # one of Arrow's, too
+        raise
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise

@@ -15,6 +15,7 @@ import logging
 import re
 import sys
 import types
+from collections import namedtuple
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path, PurePath
@@ -27,7 +28,7 @@ from aoabench.errors import UserError
 from aoabench.store.reach import Reach
 
 _UNSTATED = object()
-_FIELD = type(NamedTuple("_Pair", [("first", int)]).first)  # how a named tuple keeps a field
+_FIELD = type(vars(namedtuple("_Pair", "first second"))["first"])  # of a named tuple
 _HARMLESS = (
     *(types.ModuleType, types.GenericAlias, types.MemberDescriptorType, logging.Logger, _FIELD),
 )

@@ -7,13 +7,13 @@ through attributes of modules. At an installed library the search ends with the 
 from __future__ import annotations
 
 import builtins
-import inspect
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from types import FunctionType
 
 from aoabench import loaded
 from aoabench.maths.digest import digest
@@ -187,9 +187,9 @@ class _Search:
             yield from self._imported(module.imports[name], ())
             return
         value = vars(sys.modules.get(module.name, builtins)).get(name)
-        origin = inspect.getmodule(value) if callable(value) else None
-        if origin is not None and origin.__name__ != module.name:
-            yield origin.__name__, value.__qualname__.partition(".")[0]
+        named = isinstance(value, type | FunctionType)
+        if named and value.__module__ != module.name:
+            yield value.__module__, value.__qualname__.partition(".")[0]
         elif not module.shipped:
             yield module.name, None
 

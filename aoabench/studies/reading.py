@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from aoabench.errors import WriteError
 from aoabench.maths.statistics import Estimate
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
 def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:
     """Draw an item's figure from its stored table, if the item has both; return the reason why the
     table cannot be drawn, or "". The old figure of such a table is deleted.
+
+    Raises WriteError if the figure cannot be written.
     """
     path = figure_path(results, study, item)
     if not item.figure or not table_path(results, study, item).exists():
@@ -44,6 +47,8 @@ def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("p
     try:
         frame = table(results, study, item)
         plots.save(lambda: getattr(study.figures, item.name)(frame), path, formats)
+    except WriteError:
+        raise
     except _UNFIT as error:
         path.unlink(missing_ok=True)
         return f"{OTHER_VERSION} ({type(error).__name__}: {' '.join(str(error).split())[:80]})"

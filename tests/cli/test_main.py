@@ -82,36 +82,74 @@ def test_exit_status(error, status, line, call, monkeypatch):
 
 
 @pytest.mark.parametrize("error", [EOFError("torn"), ValueError("a fault")])
-def test_other_exceptions_are_not_hidden(error, monkeypatch):
+def test_other_exceptions_are_a_line_and_not_hidden(error, call, monkeypatch, tmp_path):
     def fail(*_arguments):
         raise error
 
     monkeypatch.setattr(compare_module, "compare", fail)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    status, out, err = call("compare", "x")
+    assert (status, out, len(err.splitlines())) == (1, "", 1)
+    assert err.startswith(f"aoabench: {type(error).__name__}: {error}; this is a fault ")
+    monkeypatch.setenv("AOABENCH_DEBUG", "1")
     with pytest.raises(type(error), match=str(error)):
         main(["compare", "x"])
+
+
+@pytest.fixture
+def usual_handlers():
+    """The usual handlers of signals, which tests under nohup lack; a stopped command ignores all."""
+    usual = {signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}  # fmt: skip
+    before = {one: signal.signal(one, handler) for one, handler in usual.items()}
+    yield usual
+    for one, handler in before.items():
+        signal.signal(one, handler)
 
 
 @pytest.mark.parametrize(("name", "status", "word"), [
     ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up"), ("SIGINT", 130, "interrupted"),
 ])  # fmt: skip
-def test_signals_end_a_command_as_ctrl_c_does(name, status, word, call, monkeypatch):
-    number = getattr(signal, name)
+def test_signals_end_a_command_as_ctrl_c_does(
+    name, status, word, call, monkeypatch, usual_handlers
+):
+    number, ended = getattr(signal, name), []
 
     def slow(*_arguments):
-        os.kill(os.getpid(), number)
-        time.sleep(10)
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(10)
+        finally:  # further signals do not disturb the end
+            os.kill(os.getpid(), number)
+            os.kill(os.getpid(), signal.SIGTERM)
+            ended.append(True)
 
-    usual = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
-    before = signal.signal(number, usual)  # the tests themselves may run under nohup
-    try:
-        monkeypatch.setattr(compare_module, "compare", slow)
-        code, out, err = call("compare", "x")
-        assert (code, out) == (status, "")
-        assert err.startswith(f"aoabench: {word}; ")
-        assert len(err.splitlines()) == 1
-        assert signal.getsignal(number) == usual
-    finally:
-        signal.signal(number, before)
+    monkeypatch.setattr(compare_module, "compare", slow)
+    code, out, err = call("compare", "x")
+    assert (code, out) == (status, "")
+    assert err.startswith(f"aoabench: {word}; ")
+    assert len(err.splitlines()) == 1
+    assert ended
+    assert signal.getsignal(number) == signal.SIG_IGN, "until the process has ended"
+
+
+def test_a_signal_that_is_lost_can_be_sent_again(call, monkeypatch, usual_handlers):
+    """As one that arrives in a callback whose exceptions nobody sees."""
+    monkeypatch.setattr(main_module, "_GRACE_S", 0)
+
+    def slow(*_arguments):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            os.kill(os.getpid(), signal.SIGINT)
+        raise RunError("it was lost")
+
+    monkeypatch.setattr(compare_module, "compare", slow)
+    assert call("compare", "x")[0] == 130
+
+
+def test_handlers_are_put_back_after_a_command_that_no_signal_ended(call, usual_handlers):
+    assert call("list", "runner")[0] == 0
+    assert {number: signal.getsignal(number) for number in usual_handlers} == usual_handlers
 
 
 def test_an_ignored_signal_stays_ignored(call, monkeypatch):
