@@ -48,13 +48,15 @@ def run(
     config_dir: str | None = None,
     plugins: Sequence[str] = (),
     progress: bool = False,
+    fresh: bool = False,
 ) -> pd.DataFrame:
     """Run one cell, or a sweep if an override holds commas, and return its tidy frame (see `load`).
 
     Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]",
     "noise.sigma_deg=2,5", "reps=200")`. `estimators` adds objects of your own by name: callables
     (batch, scenario, streams) -> Estimates, which get the same draws as the presets. `out` is the
-    folder of the tables (runner.out). Raises UserError for a mistake in the input, and RunError
+    folder of the tables (runner.out); results that are stored there are reused, unless `fresh`
+    computes them again and replaces them. Raises UserError for a mistake in the input, and RunError
     for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
@@ -68,7 +70,7 @@ def run(
         out=None if out is None else _literal(out),
         say=faults.report if progress else None,
     )
-    frame = load(runner.run(cells, progress).out)
+    frame = load(runner.run(cells, progress, fresh).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
     return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
         drop=True

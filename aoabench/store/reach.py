@@ -187,8 +187,7 @@ class _Search:
             yield from self._imported(module.imports[name], ())
             return
         value = vars(sys.modules.get(module.name, builtins)).get(name)
-        named = isinstance(value, type | FunctionType)
-        if named and value.__module__ != module.name:
+        if isinstance(value, type | FunctionType) and value.__module__ != module.name:
             yield value.__module__, value.__qualname__.partition(".")[0]
         elif not module.shipped:
             yield module.name, None

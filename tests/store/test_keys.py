@@ -157,8 +157,8 @@ STALE = {
     "import *": (STAR, {"helper": VALUE}, ("helper", "K = 1.0", "K = 2.0")),
     "an import for its effect": (
         HEAD + "    import helper\n" + PLUG.format(fields="", value="1"),
-        {"helper": "import numpy as np\nnp.seterr(all='warn')\n"},
-        ("helper", "warn", "raise"),
+        {"helper": "STATE = []\nSTATE.append(1)\n"},
+        ("helper", "(1)", "(2)"),
     ),
     "a file in a parameter": (FILE, {"w.txt": "1"}, ("w.txt", "1", "2")),
     "a file in `files`": (STATED, {"w.txt": "1"}, ("w.txt", "1", "2")),
