@@ -164,8 +164,9 @@ class _Keys:
                 if source and source.changed and module != "__main__":
                     raise UserError(f"{source.path} was changed after it was imported; start again")
             total = digest([found.digest, values])
-            reasons = (*unseen, *found.unseen)
-            self._codes[roots] = _Code(total, found, reasons, tuple(found.reads))
+            unseen += [f"its code {concern}" for concern in found.unseen]
+            reads = tuple(f"its code {concern}" for concern in found.reads)
+            self._codes[roots] = _Code(total, found, tuple(unseen), reads)
         return self._codes[roots]
 
     def _stated(self, name: str, obj: Any) -> Any:

@@ -21,7 +21,7 @@ from aoabench import loaded
 from aoabench.config.adopt import as_estimator
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
-from aoabench.engine import runner
+from aoabench.engine import runner, tasks
 from aoabench.engine.block import run_block
 from aoabench.errors import RunError, UserError
 from aoabench.store import definitions, keys
@@ -264,7 +264,8 @@ def test_never_reused(case, modules):
     (first, notes), (second, _) = configured(), configured()
     assert first != second
     assert len(notes) == 1
-    assert f"'mine' is computed anew, not reused: {reason}" in notes[0], notes
+    assert f"'mine' is computed anew, not reused: " in notes[0]
+    assert reason in notes[0]
     assert "cache_key()" in notes[0]
 
 
@@ -491,6 +492,26 @@ def test_a_plug_in_edited_while_the_workers_start(workers, modules, monkeypatch)
     with pytest.raises(RunError, match=r"plug\.py was changed after it was imported; start again"):
         runner.run(cells, progress=False)
     assert not stored("out")
+
+
+@pytest.mark.parametrize("changed", ["plug.py", "w.txt"])
+def test_an_edit_during_a_task(changed, modules, monkeypatch):
+    """The finished task is kept, the one in which the file changed is not stored."""
+    write(modules, FILE, {"w.txt": "1"})
+    modules.fresh()
+    cells = cells_of_plug("out", "runner.n_jobs=1", "runner.chunk=32", "reps=256")
+    block, count = tasks.run_block, []
+
+    def edited(*arguments):
+        count.append(1)
+        if len(count) == 2:
+            edit(("w.txt", "1", "2") if changed == "w.txt" else ("plug", "float(x)", "-float(x)"))
+        return block(*arguments)
+
+    monkeypatch.setattr(tasks, "run_block", edited)
+    with pytest.raises(RunError, match=rf"{changed} was changed after it was"):
+        runner.run(cells, progress=False)
+    assert len(stored("out")) == 1
 
 
 @pytest.mark.parametrize("changed", ["plug.py", "w.txt"])
