@@ -14,7 +14,7 @@ from pathlib import Path
 import pandas as pd
 
 from aoabench.store.files import write_frame
-from benchmarks import filters, kernels, process, show, snapshots
+from benchmarks import filters, growth, kernels, process, show, snapshots
 from benchmarks.timing import Row
 
 Part = Callable[[int], Iterator[Row]]
@@ -31,6 +31,7 @@ PARTS: dict[str, Part] = {
         process.interrupt,
         process.scaling,
         process.memory,
+        growth.growth,
         process.studies,
         kernels.precision,
     )

@@ -22,6 +22,7 @@ from aoabench.store import index, tables
 from aoabench.store.claim import claim
 from aoabench.store.folder import errors, record_cell, replay_command, values
 from aoabench.store.keys import RunKeys
+from aoabench.store.layout import sweep
 from aoabench.store.lock import Lock, locked
 from aoabench.store.parts import discard, examined, intact_parts, missing_ranges
 
@@ -95,6 +96,7 @@ class _Run:
     def run(self) -> RunReport:
         """Compute all cells and make the tables; RunError if a cell was stopped."""
         begin = time.perf_counter()
+        sweep(self.out, {key for one in self.keys.values() for key in one.values()})
         index.read(self.out, self.keys)  # raises before anything is computed
         until = self.options.until
         running = list(self.cells)

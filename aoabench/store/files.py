@@ -174,9 +174,12 @@ def write_frame(
 
 def read_provenance(path: Path) -> dict[str, Any]:
     """The provenance that a Parquet file written here carries; {} if none."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    text = (pq.read_schema(path).metadata or {}).get(b"aoabench")
+    with _torn_reported(path):
+        data = pa.BufferReader(path.read_bytes())
+        text = (pq.read_schema(data).metadata or {}).get(b"aoabench")
     return json.loads(text) if text else {}
 
 

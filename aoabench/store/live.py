@@ -273,7 +273,8 @@ def _literal_of(node: ast.expr) -> Any:
 
 
 def _same(stated: Any, value: Any) -> bool:
+    """Whether two plain values are equal, types included; sets have no order."""
     try:
-        return type(stated) is type(value) and repr(stated) == repr(value)
-    except Exception:  # the repr of any object
+        return type(stated) is type(value) and repr(plain(stated)) == repr(plain(value))
+    except NotPlain:
         return False

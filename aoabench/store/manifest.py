@@ -27,6 +27,7 @@ from aoabench.store.files import (
     table_of,
     write_atomically,
 )
+from aoabench.store.layout import check_kinds
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -84,8 +85,10 @@ def current(out: Path) -> Generation | None:
     """The generation that the manifest names; None for a folder without one: of an earlier version,
     or without results.
 
-    Raises RunError if the manifest is torn or altered, or missing beside its tables.
+    Raises RunError if the manifest is torn or altered, or missing beside its tables, and UserError
+    for a file in place of a folder or a folder in place of a file.
     """
+    check_kinds(out)
     file = out / _MANIFEST
     try:
         content = read_document(file)

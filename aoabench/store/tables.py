@@ -33,7 +33,7 @@ from aoabench.store.files import (
     write_atomically,
     write_frame,
 )
-from aoabench.store.folder import read_record, write_record
+from aoabench.store.folder import read_record, replay_command, write_record
 from aoabench.store.index import Index
 from aoabench.store.rows import CellRows
 from aoabench.store.swept import natural, one_kind, swept_parameters
@@ -178,7 +178,17 @@ class _Collect:
         return frame[[*IDENTITY, *self.swept, *rest]]
 
     def _failures_table(self) -> pa.Table:
-        return self._joined("failures", self.failures, FAILURES)
+        table, before = self._joined("failures", self.failures, FAILURES), self.index.before
+        if self.before is None or before is None or before.path == str(self.out):
+            return table
+        rows = table.to_pylist()  # the folder has another name now
+        plugins = dict(zip(self.index.column("cell"), self.index.column("plugins")))
+        for row in rows:
+            if row["replay"] is not None:
+                cell, name = row["cell"], row["estimator"]
+                known = self.out, cell, name, row["replication"], {"filter": {name: None}}
+                row["replay"] = replay_command(*known, plugins[cell])
+        return _table(rows, FAILURES)
 
     def _joined(
         self, name: str, new: Sequence[Mapping[str, Any]], columns: Mapping[str, str]

@@ -10,9 +10,10 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from aoabench.errors import RunError
 from aoabench.maths.digest import flatten
 from aoabench.report.text import number_text
-from aoabench.store.files import read_provenance, write_atomically
+from aoabench.store.files import read_provenance, read_table, write_atomically
 from aoabench.studies.reading import OTHER_VERSION, read
 from aoabench.studies.study import Study, figure_path, table_path
 from aoabench.studies.verdict import (
@@ -193,16 +194,14 @@ def _short(value: Any) -> str:
 
 def _bench(path: Path) -> dict[str, Any]:
     """The rows of the bench table as texts, or the reason for their absence as `status`."""
-    import pandas as pd
-
     try:
-        frame = pd.read_parquet(path, columns=list(BENCH))
+        frame = read_table(path, columns=list(BENCH)).to_pandas()
         rows = [[r["what"], r["detail"], f"{r['value']:.3g} {r['unit']}", r["target"], r["how"]]
                 for r in frame.to_dict("records")]  # fmt: skip
         return {"rows": rows, "time": read_provenance(path).get("time", ""), "status": ""}
     except FileNotFoundError:
         return {"rows": [], "time": "", "status": "Not computed."}
-    except (ValueError, LookupError, TypeError, OSError):
+    except (ValueError, LookupError, TypeError, OSError, RunError):
         return {"rows": [], "time": "", "status": f"Not computed ({OTHER_VERSION})."}
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from aoabench.errors import WriteError
+from aoabench.errors import RunError, WriteError
 from aoabench.maths.statistics import Estimate
+from aoabench.store.files import read_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,15 +23,14 @@ _UNFIT = (
     TypeError,
     ValueError,
     OSError,
+    RunError,
 )  # raised where a table lacks a column or value that is read
 
 
 def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
     """An item's stored table; None if it was not computed."""
-    import pandas as pd
-
     path = table_path(results, study, item)
-    return pd.read_parquet(path) if path.exists() else None
+    return read_table(path).to_pandas() if path.exists() else None
 
 
 def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:

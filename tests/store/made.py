@@ -38,21 +38,21 @@ def part(out, key, start, stop, fixes=0, machine=None):
     write_part(out, key, start, stop, block(start, stop, fixes), ORIGIN, machine)
 
 
-def cell(out, name, reps=6, fixes=2, **parameters):
-    """The record and the parts, of 4 replications or fewer each, of a cell of two estimators; the
-    first has fixes, and `parameters` are those of its noise.
+def cell(out, name, estimators=("ls", "ml"), **parameters):
+    """The record and the parts of a cell with these estimators and 4 replications of 2 fixes, in two
+    parts of the first estimator; `parameters` are those of its noise.
     """
     entries = {}
-    for estimator, fixed in (("ls", fixes), ("ml", 0)):
+    for estimator in estimators:
         key = f"{name}{estimator}"
-        for start in range(0, reps, 4):
-            part(out, key, start, min(start + 4, reps), fixed)
+        two = estimator == estimators[0]
+        for start, stop in [(0, 2), (2, 4)] if two else [(0, 4)]:
+            part(out, key, start, stop, fixes=2)
         timing = {"seconds_per_step": 1e-6, "seconds_per_replication": 5e-6}
         timing |= {"replications": 1, "steps": 5}
-        known = {"timing": timing, "precision": None}
-        entries[estimator] = {"key": key, "reps": reps, "steps": False, **known}
+        entries[estimator] = {"key": key, "reps": 4, "steps": False, "timing": timing}
     config = {"scenario": {"name": "place"}, "noise": {"sigma_deg": 1.0, **parameters}}
     same = {"experiment": None, "scenario": "place", "noise": "normal", "seed": 1, "draws": "d"}
-    config |= {"filter": {}, "estimator": {"ls": {}, "ml": {}}, "seed": 1}
+    config |= {"filter": {}, "estimator": {name: {} for name in estimators}, "seed": 1}
     rest = {"changed": {}, "swept": [], "plugins": [], "provenance": {}}
     write_record(out, {"cell": name, **same, "config": config, "estimators": entries, **rest})
