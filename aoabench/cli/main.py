@@ -27,7 +27,7 @@ from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
 from aoabench.config.presets import GROUPS
-from aoabench.errors import RunError, UserError, did_you_mean, shorten
+from aoabench.errors import RunError, UserError, did_you_mean, printable, shorten
 
 _STOPPED = {"SIGHUP": "hung up", "SIGINT": "interrupted", "SIGTERM": "terminated"}
 
@@ -171,7 +171,7 @@ def _help_of(parameter: Any) -> str:
 
 def _complain(line: str) -> None:
     with suppress(OSError):  # a terminal that has hung up
-        print(f"aoabench: {' '.join(line.split())}", file=sys.stderr)
+        print(f"aoabench: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
 @contextmanager
