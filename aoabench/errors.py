@@ -32,6 +32,11 @@ def shorten(text: str, most: int = 200) -> str:
     return f"{text[:half]} ... {text[-half:]}"
 
 
+def printable(text: str) -> str:
+    """Return `text` with escapes in place of characters that a terminal would obey or hide."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 class UserError(Exception):
     """A mistake in the input that the user can correct: one clear line, exit status 2."""
 

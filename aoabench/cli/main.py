@@ -31,7 +31,7 @@ from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
 from aoabench.config.presets import GROUPS
 from aoabench.engine.faults import KEPT, explained
-from aoabench.errors import RunError, UserError, did_you_mean, shorten
+from aoabench.errors import RunError, UserError, did_you_mean, printable, shorten
 
 _STOPPED = {"SIGHUP": "hung up", "SIGINT": "interrupted", "SIGTERM": "terminated"}
 _GRACE_S = 5  # after the first signal
@@ -183,7 +183,7 @@ def _help_of(parameter: Any) -> str:
 
 def _complain(line: str) -> None:
     with suppress(OSError):  # a terminal that has hung up
-        print(f"aoabench: {' '.join(line.split())}", file=sys.stderr)
+        print(f"aoabench: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
 @contextmanager

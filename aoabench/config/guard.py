@@ -96,6 +96,8 @@ def _checked(file: Path, group: str | None) -> Any:
     if group is not None and not isinstance(nodes, dict):
         kind = "a list" if isinstance(nodes, list) else f"one value, {shorten(repr(nodes), 80)}"
         raise UserError(f"{file}: holds {kind}; allowed: lines KEY: VALUE")
+    if group is not None and not file.stem.isprintable():
+        raise UserError(f"{str(file)!r} is not allowed; allowed: a file with a printable name")
     if group is not None:
         refuse_malformed(file, nodes)
     _refuse_header(file)

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from aoabench.config.file_names import quoted, quoted_folder, quoted_names
 from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError, shorten
 
@@ -25,10 +26,7 @@ _TOP_LEVEL = (*GROUPS, "reps", "seed", "plugins", "store.steps", "until.metric",
 _MOST_VALUES = 100_000  # of one swept key
 _MOST_CELLS = 1_000_000  # of a sweep
 _KEY = re.compile(r"[A-Za-z_$][\w$-]*([./][\w$-]+)*(@[\w$.-]*)?", re.ASCII)
-# a value between commas: in quotes, or up to the next comma
-_PIECE = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')\s*(?=,|$)|[^,]*""", re.DOTALL)
 _OF_A_PLUG_IN = re.compile(r"(scenario|noise|filter|estimator)\.")
-_UNREADABLE = object()
 _BRACKETS = {")": "(", "]": "[", "}": "{"}
 _BARE = re.compile(r"[A-Za-z0-9_ \t/\\+.$%*@?|:,()\[\]{}'\"-]")  # Hydra reads these without quotes
 
@@ -73,7 +71,7 @@ def read(words: Iterable[str], sweep: bool = True) -> list[Setting]:
 
 def file_setting(key: str, path: object) -> str:
     """The override that sets `key` to one file or folder, whatever its name."""
-    return f"{key}={_quoted(str(path))}"
+    return f"{key}={quoted(str(path))}"
 
 
 def jobs(settings: Sequence[Setting]) -> list[list[str]]:
@@ -110,9 +108,9 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
         )
     line = typed
     if name == "runner.out" and value:
-        line = f"{head}={_folder(parser, value, sweep)}"
+        line = f"{head}={quoted_folder(parser, value, sweep)}"
     elif name in PATH_KEYS and value:
-        line = f"{head}={_file_names(parser, value, sweep)}"
+        line = f"{head}={quoted_names(parser, value, sweep)}"
     if head == name and _OF_A_PLUG_IN.match(name):
         line = f"++{line}"  # the class defines the parameters, not the preset
     try:
@@ -147,70 +145,6 @@ def _no_override(word: str) -> str:
         return f"{text}; did you mean '{shorten(f'{key}={value.strip()}')}'?"
     close = difflib.get_close_matches(word, known, n=1)
     return f"{text}; did you mean '{known[close[0]]}'?" if close else text
-
-
-def _file_names(parser: Any, value: str, sweep: bool) -> str:
-    """The value of a key in PATH_KEYS as Hydra reads it: names that Hydra would not read as text
-    are quoted, with `sweep` each one between commas.
-    """
-    from hydra.core.override_parser.types import ChoiceSweep
-
-    found = _parsed_value(parser, value)
-    simple_sweep = isinstance(found, ChoiceSweep) and found.simple_form
-    if simple_sweep and sweep and all(map(_stays, found.list)):
-        return value
-    if not simple_sweep and _stays(found):
-        return value
-    if not sweep or "," not in value:
-        return _quoted(value.strip())
-    return ",".join(_file_names(parser, piece.strip(), False) for piece in _pieces(value))
-
-
-def _folder(parser: Any, value: str, sweep: bool) -> str:
-    """The value of runner.out as Hydra reads it: the folder of exactly this name, unless the value
-    is in quotes, holds an interpolation, or is a sweep, which is refused later.
-    """
-    from hydra.core.override_parser.types import QuotedString, Sweep
-
-    found = _parsed_value(parser, value)
-    kept = isinstance(found, QuotedString) or "${" in value
-    if not kept and sweep and (isinstance(found, Sweep) or "," in value):
-        return _file_names(parser, value, sweep)
-    return value if kept else _quoted(value)
-
-
-def _stays(found: Any) -> bool:
-    """Whether a value that Hydra has parsed needs no quotes: it is a text, or cannot be a file name
-    (null, a list, a mapping, a sweep by a function).
-    """
-    return found is not _UNREADABLE and not isinstance(found, bool | int | float)
-
-
-def _parsed_value(parser: Any, value: str) -> Any:
-    """The value as Hydra's grammar reads it, or _UNREADABLE."""
-    from hydra.errors import HydraException
-
-    try:
-        return parser.parse_rule(f"key={value}", "override")._value
-    except (HydraException, RecursionError):
-        return _UNREADABLE
-
-
-def _pieces(value: str) -> Iterator[str]:
-    """The values between the commas of a text; commas in quotes do not separate."""
-    position = 0
-    while position <= len(value):
-        match = _PIECE.match(value, position)
-        assert match  # the second alternative fits everything
-        yield match[0]
-        position = match.end() + 1
-
-
-def _quoted(text: str) -> str:
-    """`text` in quotes, as Hydra's grammar wants it."""
-    from hydra.core.override_parser.types import Quote, QuotedString
-
-    return str(QuotedString(text, Quote.single).with_quotes())
 
 
 def _leaves(value: Any) -> Iterator[str]:

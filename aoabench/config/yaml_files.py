@@ -130,9 +130,9 @@ def _leaves(node: Any, path: str) -> Iterator[tuple[str, Any]]:
     """All values that are neither lists nor mappings, and keys that are no texts or numbers."""
     if isinstance(node, dict):
         for key, value in node.items():
-            if not isinstance(key, _PLAIN) or key is None:
+            if not isinstance(key, _PLAIN) or key is None or not str(key).isprintable():
                 raise Unreadable(
-                    f"the key {shorten(repr(key), 80)} is not allowed; allowed: a text"
+                    f"the key {shorten(repr(key), 80)} is not allowed; allowed: a printable text"
                 )
             yield from _leaves(value, f"{path}.{key}" if path else str(key))
     elif isinstance(node, list):

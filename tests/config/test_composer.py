@@ -6,6 +6,7 @@ import hydra
 import pytest
 from omegaconf import OmegaConf, open_dict
 
+from aoabench.config import build, compose
 from aoabench.config.compose import compose_cells
 from aoabench.config.composer import Composer
 from aoabench.config.nodes import Resolver, hydra_initialised, resolved
@@ -184,6 +185,50 @@ def test_hydra_composes_a_sweep_over_values_once(composer, monkeypatch):
     assert len({id(cell.scenario) for cell in cells}) == 1
     assert len({id(cell.noise) for cell in cells}) == 2
     assert len({id(cell.estimators["ekf_vmf"]) for cell in cells}) == 2
+
+
+PLUG_IN = """from dataclasses import dataclass
+from aoabench.noise.angular import VonMisesFisher
+
+@dataclass(frozen=True)
+class Mine(VonMisesFisher):
+    pass
+"""
+
+
+def test_cells_share_no_object_of_a_class_of_ones_own(tmp_path, monkeypatch):
+    """Its objects may keep what they have seen."""
+    (tmp_path / "my_noise.py").write_text(PLUG_IN)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "conf" / "noise").mkdir(parents=True)
+    (tmp_path / "conf" / "noise" / "mine.yaml").write_text("_target_: my_noise.Mine\n")
+    words = [EKF, "noise=mine", "scenario.motion.q_z=0.2", "seed=1,2"]
+    cells = compose_cells(words, config_dir=str(tmp_path / "conf"), plugins=["my_noise"])
+    assert len({id(cell.noise) for cell in cells}) == 2
+    assert len({id(cell.scenario) for cell in cells}) == 1
+
+
+def test_positions_are_looked_at_once_unless_they_depend_on_the_seed(monkeypatch):
+    looked, real = [], build.share_heard
+    monkeypatch.setattr(
+        build, "share_heard", lambda scenario, seed: looked.append(seed) or real(scenario, seed)
+    )
+    walls = ["scenario=indoor_map", "noise=ae_normal", "filter=[ekf_aoa]"]
+    compose_cells([*walls, "seed=range(0,5)", "noise.sigma_deg=2,3"])
+    assert looked == [0]
+    looked.clear()
+    compose_cells(["scenario=bs_grid", "estimator=[ls]", "seed=range(0,3)", "noise.sigma_deg=2,3"])
+    assert sorted(set(looked)) == sorted(looked), "a seed once"
+
+
+def test_a_long_sweep_says_how_far_it_is_composed(monkeypatch):
+    said = []
+    compose_cells([EKF, "seed=1,2,3"], say=said.append)
+    assert said == [], "a short one says nothing"
+    monkeypatch.setattr(compose, "_SILENT_S", 0)
+    compose_cells([EKF, "seed=1,2,3"], say=said.append)
+    assert said == ["composing 3 cells: 0 done ..."]
+    compose_cells([EKF, "seed=1,2,3"])
 
 
 NODES = [

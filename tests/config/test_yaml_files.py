@@ -8,6 +8,7 @@ import re
 import pytest
 import yaml
 
+from aoabench.cli.main import main
 from aoabench.config.compose import compose_cells, show
 from aoabench.config.guard import refuse_foreign_hydra
 from aoabench.config.messages import explained
@@ -71,7 +72,9 @@ NOISES = {  # text of noise/x.yaml, and what the line says
     "a list": ("- a\n- b\n", "holds a list; allowed: lines KEY: VALUE"),
     "a text": ("abc\n", "holds one value, 'abc'; allowed: lines KEY: VALUE"),
     "a number": ("3\n", "holds one value, 3"),
-    "a null key": (VMF + "null: 3\n", "the key None is not allowed; allowed: a text"),
+    "a null key": (VMF + "null: 3\n", "the key None is not allowed; allowed: a printable text"),
+    "an escape sequence in a key": (VMF + '"\\e[31mx": 1\n', r"the key '\x1b[31mx' is not allowed"),
+    "an escape sequence inside": (VMF + 'a: [{"\\u202ex": 1}]\n', r"the key '\u202ex' is not allowed"),
     "a list as key": (VMF + "? [a]\n: 3\n", "line 2: found unhashable key"),
     "a set": (VMF + "a: !!set {x, y}\n", "'a' is a set; allowed: texts, numbers"),
     "pairs": (VMF + "a: !!omap [x: 1]\n", "'a[0]' is a tuple"),
@@ -157,6 +160,21 @@ def test_a_value_of_a_file_that_cannot_be_resolved(value, says, tmp_path):
         compose_cells(["filter=[ekf_vmf]", "noise=x"], config_dir=folder)
     assert len(str(error.value)) < 400
     assert not re.search(r"Exception|Error|Config[A-Z]", str(error.value))
+
+
+def test_names_and_descriptions_that_a_terminal_would_obey(tmp_path, capsys):
+    file = tmp_path / "noise" / "\x1b[31mx.yaml"
+    write(tmp_path, {"noise/y.yaml": f"# Mine \x1b[31m\n{VMF}", f"noise/{file.name}": VMF})
+    assert options("noise", str(tmp_path)).items() >= {("y", r"Mine \x1b[31m")}
+    assert file.stem not in options("noise", str(tmp_path))
+    with pytest.raises(SystemExit) as stop:
+        main(["run", "filter=[ekf_vmf]", "noise=y", "--config-dir", str(tmp_path)])
+    assert stop.value.code == 2
+    assert r"\x1b[31mx.yaml' is not allowed" in (line := capsys.readouterr().err)
+    assert "\x1b" not in line
+    with pytest.raises(SystemExit):
+        main(["run", "filter=[ekf_vmf]", "noise=\x1b[31m"])
+    assert "\x1b" not in capsys.readouterr().err
 
 
 def test_what_hydra_reads_is_read(tmp_path):
