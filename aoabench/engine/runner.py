@@ -14,7 +14,7 @@ from aoabench.engine.faults import KEPT, explained, report, writable
 from aoabench.engine.machines import Machines
 from aoabench.engine.planning import merged, tasks_of
 from aoabench.engine.tasks import Loss, Task, kind_of
-from aoabench.engine.timing import time_estimators
+from aoabench.engine.timing import timed
 from aoabench.engine.workers import compute_all
 from aoabench.errors import RunError
 from aoabench.maths import statistics
@@ -26,7 +26,6 @@ from aoabench.store.layout import sweep
 from aoabench.store.lock import Lock, locked
 from aoabench.store.parts import discard, examined, intact_parts, missing_ranges
 
-_FEW = 100  # replications; cells with fewer are timed once, others up to three times
 _GIVE_UP_AFTER = 100  # replications; a cell stops if at least this many have all failed
 
 
@@ -243,7 +242,7 @@ class _Run:
         fresh: dict[str, Any] = {}
         for cell in self.cells:
             if cell.id not in self.stopped:
-                fresh |= _timed(
+                fresh |= timed(
                     cell,
                     {n: key for n, key in self.keys[cell.id].items() if key not in known | fresh},
                 )
@@ -254,22 +253,3 @@ class _Run:
         done = [(part.start, part.stop) for part in intact_parts(self.out, key, kind_of(cell))]
         gaps = missing_ranges(done, self.goal[cell.id])
         return gaps[0][0] if gaps else self.goal[cell.id]
-
-
-def _timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
-    """Serial timings, by part key, of some of the cell's estimators."""
-    if not keys:
-        return {}
-    estimators = {name: cell.estimators[name] for name in keys}
-    repeats = 1 if cell.reps < _FEW else 3  # timing must not delay many small cells
-    given = (cell.scenario, cell.noise, estimators, cell.seed, cell.reps)
-    measured = time_estimators(*given, repeats)
-    return {
-        keys[name]: {
-            "seconds_per_step": timing.seconds / (timing.replications * timing.steps),
-            "seconds_per_replication": timing.seconds / timing.replications,
-            "replications": timing.replications,
-            "steps": timing.steps,
-        }
-        for name, timing in measured.items()
-    }

@@ -5,15 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from aoabench.cell import Cell
 from aoabench.engine.tiles import Draws, call, checked, placed, tile_of
 from aoabench.roles import Estimator, Noise, Scenario
 
 _SIMULATED = 8  # replications that fill a larger tile, as the simulation is not timed
 _ENOUGH_S = 1.0
+_FEW = 100  # replications; cells with fewer are timed once, others up to three times
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,25 @@ class Timing:
     seconds: float
     replications: int
     steps: int
+
+
+def timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
+    """Serial timings, by part key, of some of the cell's estimators."""
+    if not keys:
+        return {}
+    estimators = {name: cell.estimators[name] for name in keys}
+    repeats = 1 if cell.reps < _FEW else 3  # timing must not delay many small cells
+    given = (cell.scenario, cell.noise, estimators, cell.seed, cell.reps)
+    measured = time_estimators(*given, repeats)
+    return {
+        keys[name]: {
+            "seconds_per_step": timing.seconds / (timing.replications * timing.steps),
+            "seconds_per_replication": timing.seconds / timing.replications,
+            "replications": timing.replications,
+            "steps": timing.steps,
+        }
+        for name, timing in measured.items()
+    }
 
 
 def time_estimators(

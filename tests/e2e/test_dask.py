@@ -3,6 +3,7 @@ of a worker.
 """
 
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -172,3 +173,107 @@ def test_a_bad_address_is_the_users_mistake(words, expected, tmp_path, monkeypat
     assert "Traceback" not in said
     for word in expected:
         assert word in said
+
+
+# --- encrypted connections ------------------------------------------------------------------------
+
+
+def certificate(folder, name):
+    """A certificate that signs itself, and its key, as files in PEM; their paths."""
+    folder.mkdir(exist_ok=True)
+    paths = [str(folder / f"{name}.{end}") for end in ("crt", "key")]
+    words = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
+             "-nodes", "-days", "36500", "-subj", f"/CN={name}", "-out", paths[0], "-keyout", paths[1]]  # fmt: skip
+    subprocess.run(words, check=True, capture_output=True)
+    return paths
+
+
+def tls_words(paths):
+    return [f"runner.{name}={file}" for name, file in zip(TLS, (paths[0], *paths))]
+
+
+TLS = ("tls_ca_file", "tls_cert", "tls_key")
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory):
+    """The words that name a scheduler that wants certificates, and those of a stranger's files."""
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl")
+    from distributed import LocalCluster
+    from distributed.security import Security
+
+    folder = tmp_path_factory.mktemp("tls")
+    own, other = (certificate(folder, name) for name in ("own", "other"))
+    sides = {f"tls_{side}_{end}": file for side in ("scheduler", "worker", "client") for end, file in zip(("cert", "key"), own)}  # fmt: skip
+    security = Security(require_encryption=True, tls_ca_file=own[0], **sides)
+    options = {"processes": False, "n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}  # fmt: skip
+    with LocalCluster(protocol="tls://", host="127.0.0.1", security=security, **options) as cluster:
+        yield [f"runner.address={cluster.scheduler_address}"], own, other
+
+
+SMALL = ["runner=dask", "estimator=[ls]", "scenario.steps=2", "reps=4", "runner.chunk=1"]
+
+
+def test_a_run_on_an_encrypted_cluster(secured, tmp_path):
+    address, own, _ = secured
+    assert address[0].startswith("runner.address=tls://127.0.0.1:")
+    far = aoabench.run(*SMALL, *address, *tls_words(own), out=tmp_path / "far")
+    near = aoabench.run(*SMALL[1:], "runner.n_jobs=1", out=tmp_path / "near")
+    pd.testing.assert_frame_equal(far, near, check_exact=True)
+
+
+def test_a_stranger_is_refused_by_the_cluster(secured, tmp_path, monkeypatch):
+    address, _, other = secured
+    monkeypatch.setattr("aoabench.engine.dask._CONNECT_S", 1)
+    with pytest.raises(aoabench.UserError, match="no scheduler answers at this address"):
+        aoabench.run(*SMALL, *address, *tls_words(other), out=tmp_path)
+    assert not list(tmp_path.glob("parts/*"))
+
+
+def test_without_files_an_encrypted_address_is_refused_or_dasks_own(secured, tmp_path):
+    address, own, _ = secured
+    with pytest.raises(aoabench.UserError, match=r"needs runner\.tls_ca_file, .* Dask's own conf"):
+        aoabench.run(*SMALL, *address, out=tmp_path)
+    import dask.config
+
+    tls = {"ca-file": own[0], "client.cert": own[0], "client.key": own[1]}
+    with dask.config.set({f"distributed.comm.tls.{key}": value for key, value in tls.items()}):
+        assert len(aoabench.run(*SMALL, *address, out=tmp_path)) == 4
+
+
+@pytest.mark.parametrize(("change", "expected"), [
+    ({"tls_key": None}, ["runner.tls_key=None", "tls_ca_file, tls_cert, tls_key go together"]),
+    ({"tls_cert": "nowhere.pem"}, ["runner.tls_cert='nowhere.pem'", "a file in PEM that can be read"]),
+    ({"tls_ca_file": "."}, ["runner.tls_ca_file='.'", "a file in PEM"]),
+    ({"tls_ca_file": 3}, ["runner.tls_ca_file=3", "a file in PEM"]),
+    ({"address": "tcp://127.0.0.1:1"}, ["runner.address='tcp://127.0.0.1:1'", "tls://HOST:PORT"]),
+    ({"tls_key": "garbage"}, ["runner.tls_key", "cannot be used"]),
+    ({"tls_key": "locked"}, ["runner.tls_key=", "without a passphrase"]),
+])  # fmt: skip
+def test_files_that_do_not_do_are_the_users_mistake(change, expected, tmp_path, monkeypatch, capsys):  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "garbage").write_text("what?")
+    (tmp_path / "locked").write_text("-----BEGIN ENCRYPTED PRIVATE KEY-----")
+    given = {"address": "tls://127.0.0.1:1", **dict.fromkeys(TLS, "garbage"), **change}
+    words = [f"runner.{name}={'null' if value is None else value}" for name, value in given.items()]
+    with pytest.raises(SystemExit) as stop:
+        main(["run", *SMALL, *words])
+    said = capsys.readouterr().err
+    assert (stop.value.code, len(said.splitlines())) == (2, 1), said
+    for word in expected:
+        assert word in said
+
+
+def test_a_config_cannot_name_files_of_tls(tmp_path, monkeypatch):
+    """Else it could make a run present the user's certificate to another's scheduler."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "key.pem").touch()
+    (tmp_path / "c" / "runner").mkdir(parents=True)
+    (tmp_path / "c" / "runner" / "mine.yaml").write_text(
+        "defaults: [dask]\n" + "".join(f"{name}: key.pem\n" for name in TLS)
+    )
+    words = ["runner=mine", "estimator=[ls]", "runner.address=tls://a:1"]
+    with pytest.raises(aoabench.UserError, match=r"runner\.tls_ca_file='key\.pem' is not allowed"):
+        compose_cells(words, config_dir="c")
+    assert compose_cells([*words, *(f"runner.{name}=key.pem" for name in TLS)], config_dir="c")

@@ -264,7 +264,7 @@ def test_never_reused(case, modules):
     (first, notes), (second, _) = configured(), configured()
     assert first != second
     assert len(notes) == 1
-    assert f"'mine' is computed anew, not reused: " in notes[0]
+    assert "'mine' is computed anew, not reused: " in notes[0]
     assert reason in notes[0]
     assert "cache_key()" in notes[0]
 

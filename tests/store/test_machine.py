@@ -165,3 +165,7 @@ def test_kinds_of_a_clusters_workers_are_compared(elsewhere, capsys):
     found.note(examined(elsewhere, keys[0])[0], 4)
     found.settle()
     assert capsys.readouterr().err == ""
+    found.remote = False
+    for _ in range(2):  # as before each check of the precision
+        found.settle()
+    assert len(capsys.readouterr().err.splitlines()) == 1
