@@ -90,11 +90,8 @@ def reproduce(
     for s, item in items:
         begin = time.perf_counter()
         frame, origin = compute(s, item, scale, results, fresh)
-        origin = {
-            **provenance(origin),
-            "scale": scale,
-            "seconds": round(time.perf_counter() - begin, 2),
-        }
+        seconds = round(time.perf_counter() - begin, 2)
+        origin = {**provenance(origin), "scale": scale, "seconds": seconds}
         write_frame(study.table_path(results, s, item), frame, origin)
         row = {"study": s.name, "item": item.name, "rows": len(frame)}
         computed.append({**row, "seconds": origin["seconds"]})
