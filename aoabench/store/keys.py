@@ -105,6 +105,7 @@ class _Keys:
         self.notes: dict[str, None] = {}
         self._codes: dict[frozenset[Root], _Code] = {}
         self._files: dict[Path, DataFile] = {}
+        self._parts: dict[int, tuple[Any, list[Any]]] = {}  # by id of the objects, which are kept
         loaded.forget_places()
 
     def draws(self, cell: Cell) -> str:
@@ -132,7 +133,7 @@ class _Keys:
         presets = _presets(cell)
         objects = [(cell.scenario, cell.config["scenario"]), (cell.noise, cell.config["noise"])]
         objects += [(obj, presets.get(name)) for name, obj in cell.estimators.items()]
-        roots = {_BLOCK, *(root for obj, _ in objects for root in _roots(obj))}
+        roots = {_BLOCK, *(root for obj, _ in objects for root in _roots(self._parts_of(obj)))}
         found = self._code(frozenset(roots), cell.plugins).reach
         files = tuple(file for obj, node in objects for file in self._files_of(obj, node))
         sources = {m: d for m, d in found.sources.items() if m != "__main__"}
@@ -142,11 +143,12 @@ class _Keys:
         self, name: str, obj: Any, node: Any, plugins: Iterable[str], more: Iterable[Root] = ()
     ) -> list[Any]:
         """Hashes of the code and the data files of an object; unique if there may be more."""
-        code = self._code(frozenset([*more, *_roots(obj)]), plugins)
+        parts = self._parts_of(obj)
+        code = self._code(frozenset([*more, *_roots(parts)]), plugins)
         files = self._files_of(obj, node)
         vouched = _cache_key(obj)
         reasons = code.unseen if vouched is None else ()
-        if vouched is None and not any(map(_stated_files, _parts(obj))):
+        if vouched is None and not any(map(_stated_files, parts)):
             reasons += tuple(r for r in code.reads if not files or "__file__" in r)
         unique = self._unique(name, reasons[0]) if reasons else None
         return [code.digest, code.reach.libraries, [f.digest for f in files], vouched, unique]
@@ -181,11 +183,12 @@ class _Keys:
     def _files_of(self, obj: Any, node: Any) -> list[DataFile]:
         """The data files of an object: those that it names, and those that its parameters name."""
         found: dict[Path, DataFile] = {}
-        for one in _parts(obj):
+        for one in self._parts_of(obj):
             for file in _stated_files(one):
                 known = file if isinstance(file, DataFile) else self._read(Path(file))
                 found[known.path] = known
-        texts = _texts(node) if node is not None else (t for o in _parts(obj) for t in _fields(o))
+        parts = [] if node is not None else self._parts_of(obj)
+        texts = [*_texts(node), *(text for part in parts for text in _fields(part))]
         for path in map(Path, texts):
             if _is_file(path) and path.resolve() not in found:
                 found[path.resolve()] = self._read(path)
@@ -193,6 +196,12 @@ class _Keys:
             if known.changed:
                 raise UserError(f"{known.path} was changed after it was read; start again")
         return list(found.values())
+
+    def _parts_of(self, obj: Any) -> list[Any]:
+        """An object and the dataclasses and callables in it, looked up once; cells share objects."""
+        if id(obj) not in self._parts:
+            self._parts[id(obj)] = obj, list(_parts(obj))
+        return self._parts[id(obj)][1]
 
     def _read(self, path: Path) -> DataFile:
         """The record of a file that an object names without having read it."""
@@ -229,9 +238,9 @@ def _parts(value: Any) -> Iterator[Any]:
             yield from _parts([getattr(value, f.name) for f in fields(value)])
 
 
-def _roots(obj: Any) -> Iterator[Root]:
-    """The definitions of the classes and functions in an object."""
-    for value in _parts(obj):
+def _roots(parts: Iterable[Any]) -> Iterator[Root]:
+    """The definitions of the classes and functions of the parts of an object."""
+    for value in parts:
         owner = value if isinstance(value, FunctionType) else type(value)
         yield owner.__module__, owner.__qualname__.partition(".")[0]
 
