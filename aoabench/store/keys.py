@@ -198,7 +198,7 @@ class _Keys:
         return list(found.values())
 
     def _parts_of(self, obj: Any) -> list[Any]:
-        """An object and the dataclasses and callables in it, looked up once; cells share objects."""
+        """An object, and the dataclasses and callables in it; cells share objects."""
         if id(obj) not in self._parts:
             self._parts[id(obj)] = obj, list(_parts(obj))
         return self._parts[id(obj)][1]
