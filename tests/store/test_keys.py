@@ -8,6 +8,7 @@ import ast
 import copy
 import dataclasses
 import importlib
+import os
 import sys
 import textwrap
 from dataclasses import InitVar, dataclass, field
@@ -112,7 +113,9 @@ def given(obj):
 
 PLAIN = HEAD + PLUG.format(fields="gain: float = 1.0", value="self.gain")
 FILE = HEAD + PLUG.format(fields="path: str = 'w.txt'", value="Path(self.path).read_text()")
-BESIDE = HEAD + PLUG.format(fields="", value="Path(__file__).with_name('w.txt').read_text()")
+BESIDE = HEAD + PLUG.format(
+    fields="factor = 1", value="Path(__file__).with_name('w.txt').read_text()"
+)
 STATED = HEAD + PLUG.format(fields="files = (Path('w.txt'),)", value="Path('w.txt').read_text()")
 ENVIRONMENT = HEAD + PLUG.format(fields="", value="os.environ.get('AOA_TEST', 1)")
 BY_NAME = HEAD + PLUG.format(fields="", value="__import__('helper').K")
@@ -227,6 +230,11 @@ def test_the_same_key(case, modules):
 
 NEVER = {
     "a file beside the plug-in": (BESIDE, {"w.txt": "1"}, "reads a file"),
+    "a file beside the plug-in, and one that is not meant": (
+        BESIDE.replace("factor = 1", "other: str = 'x.txt'"),
+        {"w.txt": "1", "x.txt": "1"},
+        "reads a file (__file__)",
+    ),
     "an environment variable": (ENVIRONMENT, {}, "reads environment variables"),
     "importlib": (IMPORTLIB, {"helper": VALUE}, "uses importlib in plug.py"),
     "__import__": (BY_NAME, {"helper": VALUE}, "uses __import__ in plug.py"),
@@ -530,6 +538,18 @@ def test_an_edit_while_a_run_waits_for_another(changed, modules, monkeypatch):
     with pytest.raises(RunError, match=rf"{changed} was changed after it was"):
         runner.run(cells, progress=False)
     assert not stored("out")
+
+
+def test_an_edit_that_leaves_size_and_time_as_they_were(modules):
+    """Python would load the compiled code of the earlier file."""
+    modules.write("plug", GLOBAL)
+    status = Path("plug.py").stat()
+    assert modules.fresh().K == 1.0
+    first = configured()[0]
+    edit(("plug", "K = 1.0", "K = 2.0"))
+    os.utime("plug.py", ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert modules.fresh().K == 2.0
+    assert configured()[0] != first
 
 
 def test_a_module_edited_after_its_import(modules):
