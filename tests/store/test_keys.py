@@ -540,8 +540,9 @@ def test_an_edit_while_a_run_waits_for_another(changed, modules, monkeypatch):
     assert not stored("out")
 
 
-def test_an_edit_that_leaves_size_and_time_as_they_were(modules):
+def test_an_edit_that_leaves_size_and_time_as_they_were(modules, monkeypatch):
     """Python would load the compiled code of the earlier file."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
     modules.write("plug", GLOBAL)
     status = Path("plug.py").stat()
     assert modules.fresh().K == 1.0
