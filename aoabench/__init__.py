@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from aoabench import loaded  # noqa: F401 - first: it records the modules below
 from aoabench.errors import RunError, UserError
 from aoabench.roles import Estimator, Filter, Measurement, Motion, Noise, Scenario
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
@@ -47,22 +48,29 @@ def run(
     config_dir: str | None = None,
     plugins: Sequence[str] = (),
     progress: bool = False,
+    fresh: bool = False,
 ) -> pd.DataFrame:
     """Run one cell, or a sweep if an override holds commas, and return its tidy frame (see `load`).
 
     Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]",
     "noise.sigma_deg=2,5", "reps=200")`. `estimators` adds objects of your own by name: callables
     (batch, scenario, streams) -> Estimates, which get the same draws as the presets. `out` is the
-    folder of the tables (runner.out). Raises UserError for a mistake in the input, and RunError
+    folder of the tables (runner.out); results that are stored there are reused, unless `fresh`
+    computes them again and replaces them. Raises UserError for a mistake in the input, and RunError
     for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
-    from aoabench.config.overrides import file_setting
-    from aoabench.engine import runner
+    from aoabench.engine import faults, runner
 
-    given = [*overrides, *([file_setting("runner.out", os.fspath(out))] if out is not None else [])]
-    cells = compose_cells(given, config_dir=config_dir, plugins=plugins, extra=estimators)
-    frame = load(runner.run(cells, progress).out)
+    cells = compose_cells(
+        overrides,
+        config_dir=config_dir,
+        plugins=plugins,
+        extra=estimators,
+        out=None if out is None else _literal(out),
+        say=faults.report if progress else None,
+    )
+    frame = load(runner.run(cells, progress, fresh).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
     return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
         drop=True
@@ -77,7 +85,7 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     from aoabench.store import tables
 
     with explained(Path(out)):
-        return tables.load(out)
+        return tables.load(_literal(out))
 
 
 def compare(
@@ -93,4 +101,10 @@ def compare(
     from aoabench.store import compare as compare_module
 
     with explained(Path(run)):
-        return compare_module.compare(run, baseline, metric)
+        return compare_module.compare(_literal(run), baseline, metric)
+
+
+def _literal(path: str | os.PathLike[str]) -> str:
+    """The path with a leading ~ as part of the name, which Arrow would take for a home folder."""
+    text = os.fspath(path)
+    return os.path.abspath(text) if text.startswith("~") else text

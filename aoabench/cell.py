@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from aoabench.columns import REPLICATIONS
@@ -75,7 +76,9 @@ class RunnerOptions:
     tls_key: str | None = None
 
     def __post_init__(self) -> None:
-        check_number("runner.n_jobs", self.n_jobs, least=-1, integer=True)
+        local = max(64, 4 * (os.cpu_count() or 1))  # more would only use up the memory
+        most = math.inf if self.backend == "dask" else local
+        check_number("runner.n_jobs", self.n_jobs, least=-1, most=most, integer=True)
         if self.n_jobs == 0:
             raise BadValue("runner.n_jobs", 0, "an integer >= 1, or -1 for all cores")
         check_number("runner.chunk", self.chunk, least=1, integer=True, optional=True)
@@ -89,7 +92,7 @@ class RunnerOptions:
             )
         if self.backend != "dask" and self.address is not None:
             raise BadValue("runner.address", self.address, "null, unless runner.backend=dask")
-        if not isinstance(self.out, str) or not self.out.strip():
+        if not isinstance(self.out, str) or not self.out:
             raise BadValue("runner.out", self.out, "the path of a folder")
         if not isinstance(self.steps, bool):
             raise BadValue("store.steps", self.steps, "true or false")
@@ -146,7 +149,7 @@ class Cell:
     plugins: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # lines to print for the user
 
-    @property
+    @cached_property
     def id(self) -> str:
         """Short name of the cell, from scenario, noise, seed and changed parameters; further
         estimators of the same cell share it.

@@ -15,6 +15,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 from aoabench.errors import (
@@ -25,6 +26,7 @@ from aoabench.errors import (
     check_number,
     check_text,
 )
+from aoabench.loaded import DataFile
 
 Check = Callable[[str, object], object]  # of a key and a value; raises BadValue
 
@@ -137,7 +139,20 @@ class CheckedParams:
     Raises BadValue when an object is built with a value that does not fit, and TypeError when a
     class is defined with an annotation that has no check. A class with checks of its own calls
     super().__post_init__() first.
+
+    files: the data files that the numbers depend on, as paths or as read; their content is part of
+    the key of results.
     """
+
+    @property
+    def files(self) -> Sequence[Path | DataFile]:
+        return ()
+
+    def cache_key(self) -> Any:
+        """A plain value that stands for everything that the numbers depend on, apart from
+        parameters, files and source code; None: nothing else. Results are reused if it is the same.
+        """
+        return None
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -67,11 +66,6 @@ class Scenario(CheckedParams):
     def recorded(self) -> Measurements | None:
         """Recorded measurements (T, B) that replace those of the noise, or None."""
         return None
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files that the scenario was read from; their content is part of the key of results."""
-        return ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -144,11 +138,6 @@ class Calibration:
 
 class Noise(CheckedParams):
     """Measurements from the true geometry."""
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files that the noise was read from; their content is part of the key of results."""
-        return ()
 
     @property
     def calibration(self) -> Calibration | None:
@@ -263,6 +252,7 @@ class PlainEstimator(Estimator):
     """A bare callable (batch, scenario, streams) -> Estimates in the role of an estimator."""
 
     function: Callable[..., Estimates]
+    files = ()
     needs = frozenset()
     label = "estimator"
 

@@ -15,7 +15,7 @@ from aoabench.engine.block import run_block
 from aoabench.store import tables
 from aoabench.store.files import provenance
 from aoabench.store.folder import read_record, record_cell, write_record
-from aoabench.store.keys import draws_key
+from aoabench.store.keys import RunKeys
 from aoabench.store.parts import write_part
 from benchmarks.timing import Row, cell_of
 
@@ -67,7 +67,7 @@ def _changed(cell: Cell, number: int) -> Cell:
 def _stored(out: Path, first: Cell, numbers: Iterable[int]) -> None:
     """Store new cells, each with the results of the first one."""
     (name,) = first.estimators
-    draws = draws_key(first)
+    draws = RunKeys.of([first]).draws[first.id]
     block = run_block(first.scenario, first.noise, first.estimators, first.seed, 0, 2)[name]
     new = [_changed(first, number) for number in numbers]
     for cell in new:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.store.files import read_provenance
 from aoabench.studies import study
@@ -41,6 +42,30 @@ def start(repeats: int) -> Iterator[Row]:
         yield Row("start", "run reps=1", fresh, "s", "at most 4", how + ", kernels cached")
         again = once("0", repeats)
         yield Row("start", "run reps=1, all reused", again, "s", "at most 4", how)
+    yield from _composing()
+
+
+def _composing() -> Iterator[Row]:
+    """Processor time per cell of composing and building the cells of sweeps over values."""
+    sweeps = {
+        "ekf_vmf, deviation x seed": ["filter=[ekf_vmf]", "noise.sigma_deg=range(1,101)"],
+        "ekf_aoa in indoor_map, deviation x seed": [
+            "scenario=indoor_map",
+            "noise=ae_normal",
+            "filter=[ekf_aoa]",
+            "noise.sigma_deg=range(1,101)",
+        ],
+        "ukf_vmf, its kappa x seed": [
+            "filter=[ukf_vmf]",
+            "filter.ukf_vmf.measurement.kappa=range(1,101)",
+        ],
+    }
+    for detail, words in sweeps.items():
+        begin = time.process_time()
+        cells = compose_cells([*words, "seed=range(0,100)"])
+        each = (time.process_time() - begin) / len({cell.id for cell in cells})
+        how = "10,000 cells, from the overrides to validated cells with their ids; processor time"
+        yield Row("compose a cell", detail, 1000 * each, "ms", "at most 5", how)
 
 
 def interrupt(repeats: int) -> Iterator[Row]:

@@ -49,12 +49,14 @@ def _items(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
 @click.option(
     "--only", metavar="ITEM", shell_complete=_items, help="Only this table or figure, e.g. table1."
 )
+@click.option("--fresh", is_flag=True, help="Compute everything again; reuse nothing stored.")
 @results_options
 @json_option
 def reproduce(
     study: tuple[str, ...],
     scale: str,
     only: str | None,
+    fresh: bool,
     results: Path,
     format_: str | None,
     as_json: bool,
@@ -76,7 +78,7 @@ def reproduce(
     from aoabench.studies import reproduce as reproducing
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
-    done = reproducing.reproduce(study, scale, only, results, say, formats(format_))
+    done = reproducing.reproduce(study, scale, only, results, say, formats(format_), fresh)
     if as_json:
         items = {"scale": scale, "items": done.computed}
         print_json({**items, **studies_json(done.drawn, results)})

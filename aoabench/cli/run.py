@@ -67,6 +67,11 @@ class _Run(Command):
     metavar="N",
     help="Name the N worst replications, each with the command that replays it.",
 )
+@click.option(
+    "--fresh",
+    is_flag=True,
+    help="Compute everything again and replace the stored replications of these cells.",
+)
 @json_option
 @click.option("-h", "--help", "wants_help", is_flag=True, help="Show this message and exit.")
 @click.pass_context
@@ -79,6 +84,7 @@ def run(  # noqa: PLR0913 - an option each
     resolve: bool,
     config_dir: str | None,
     worst: int,
+    fresh: bool,
     as_json: bool,
     wants_help: bool,
 ) -> None:
@@ -110,7 +116,8 @@ def run(  # noqa: PLR0913 - an option each
 
         print(compose.show(words, config_dir, resolve, package, multirun), end="")
         return
-    _simulate(words, multirun, config_dir, worst, as_json)
+    cells = _composed(words, multirun, config_dir)
+    _simulate(cells, fresh, worst, as_json)
 
 
 def _refuse_flags(words: Sequence[str], command: click.Command) -> None:
@@ -128,22 +135,27 @@ def _refuse_flags(words: Sequence[str], command: click.Command) -> None:
             )
 
 
-def _simulate(
-    words: Sequence[str], sweep: bool, config_dir: str | None, n_worst: int, as_json: bool
-) -> None:
-    """Compose the cells, run them, and print the results."""
-    from aoabench.cli import show
+def _composed(words: Sequence[str], sweep: bool, config_dir: str | None) -> list[Cell]:
+    """The cells of the overrides; print their notes."""
     from aoabench.config import compose
+    from aoabench.engine.faults import report
+
+    cells = compose.compose_cells(words, config_dir=config_dir, sweep=sweep, say=report)
+    for line in dict.fromkeys(line for cell in cells for line in cell.notes):
+        echo(line, file=sys.stderr)
+    return cells
+
+
+def _simulate(cells: list[Cell], fresh: bool, n_worst: int, as_json: bool) -> None:
+    """Run the cells, and print the results."""
+    from aoabench.cli import show
     from aoabench.engine import runner
 
-    cells = compose.compose_cells(words, config_dir=config_dir, sweep=sweep)
-    notes = list(dict.fromkeys(line for cell in cells for line in cell.notes))
-    for line in notes:
-        echo(line, file=sys.stderr)
-    found = show.finished(runner.run(cells), cells)
+    found = show.finished(runner.run(cells, fresh=fresh), cells)
     figures = list(_figures(found.report.out, found.cells.values()))
     worst = show.worst(found, n_worst) if n_worst else []
     if as_json:
+        notes = list(dict.fromkeys(line for cell in cells for line in cell.notes))
         rest = {"notes": notes, "figures": figures, "worst": worst}
         print_json({**show.run_json(found), **rest})
         return

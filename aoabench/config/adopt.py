@@ -32,7 +32,7 @@ RENAMED = {
     "segments": "wall_segments",
     "sees_truth": 'needs = frozenset({"truth"})',
 }
-_OPTIONAL = ("tile", "needs", "check", "prepare", "trace")
+_OPTIONAL = ("tile", "needs", "check", "prepare", "trace", "files", "cache_key")
 
 
 def as_scenario(obj: Any, path: str) -> Scenario:

@@ -8,8 +8,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
-from aoabench.config.nodes import hydra_initialised, resolved, with_defaults
-from aoabench.config.plugins import construct, resolve
+from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
+from aoabench.config.plugins import Speller, construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError, did_you_mean
 from aoabench.roles import Estimator, Noise, Scenario
@@ -41,7 +41,7 @@ def parameters(name: str, config_dir: str | None = None) -> list[Parameter]:
     group = group_of(name, config_dir)
     with hydra_initialised(config_dir):
         chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
-        whole = with_defaults(compose("config", overrides=[chosen]), ())
+        whole = plain_nodes(compose("config", overrides=[chosen]), Speller())
     node = whole[group][name] if group in LISTS else whole[group]
     return list(_walk(node, f"{group}.{name}" if group in LISTS else group))
 
@@ -116,7 +116,7 @@ def _shipped_nodes(group: str) -> dict[str, Any]:
         composed = {
             name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)
         }
-    return {name: resolved(with_defaults(cfg, ()))[group] for name, cfg in composed.items()}
+    return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in composed.items()}
 
 
 def _every_estimator(config_dir: str | None = None) -> list[str]:
@@ -129,7 +129,8 @@ def _composed(overrides: Sequence[str], config_dir: str | None = None) -> dict[s
     from hydra import compose
 
     with hydra_initialised(config_dir):
-        return resolved(with_defaults(compose("config", overrides=list(overrides)), ()))
+        cfg = compose("config", overrides=list(overrides))
+        return resolved(plain_nodes(cfg, Speller()))
 
 
 def _that_fit(

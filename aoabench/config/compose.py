@@ -6,20 +6,25 @@ not used, because their `_target_`s would run code before our checks.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from aoabench.cell import Cell
-from aoabench.config.build import build
+from aoabench.config.build import Builder
+from aoabench.config.composer import Composed, Composer
 from aoabench.config.guard import refuse_hydra
 from aoabench.config.messages import explained
-from aoabench.config.nodes import hydra_initialised, resolved, with_defaults
+from aoabench.config.nodes import Resolver, hydra_initialised, with_defaults
 from aoabench.config.overrides import Setting, jobs, read
-from aoabench.config.plugins import parse_plugins
+from aoabench.config.plugins import Speller, parse_plugins
 from aoabench.config.presets import LISTS, options
 from aoabench.errors import UserError, did_you_mean, shorten
 from aoabench.maths.digest import flatten
+
+_SILENT_S = 1.0  # seconds of composing without a line of progress
+_EVERY_S = 10.0  # seconds between further lines
 
 
 def compose_cells(
@@ -29,27 +34,26 @@ def compose_cells(
     plugins: Sequence[str] = (),
     extra: Mapping[str, Any] | None = None,
     sweep: bool = True,
+    out: str | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> list[Cell]:
     """Return the cells of command-line overrides: one for each combination of the values that
     commas in the overrides, and the experiment's own sweep, give to the keys.
 
-    Without `sweep` the list has one cell, and several values for a key are a mistake. Raises
-    UserError for every mistake.
+    Without `sweep` the list has one cell, and several values for a key are a mistake. `out` is the
+    folder of the tables, literally, in place of runner.out. `say` gets a line of progress where
+    composing takes longer than a second. Raises UserError for every mistake.
     """
-    from hydra import compose
-
     named = [f"plugins=[{','.join(plugins)}]"] if plugins else []
     settings = _checked([*overrides, *named], sweep)
     allowed = parse_plugins(settings)
     with hydra_initialised(config_dir), explained(settings, config_dir):
-        swept = [*_own_sweep(settings), *settings] if sweep else settings
+        composer = Composer()
+        swept = [*_own_sweep(settings, composer), *settings] if sweep else settings
         keys = tuple(dict.fromkeys(s.key for s in swept if not s.is_deletion))
         typed = [s.key for s in settings]
-        job = _Job(keys, typed, allowed, extra, config_dir)
-        cells = [
-            job.cell(compose("config", overrides=lines, return_hydra_config=True))
-            for lines in jobs(swept)
-        ]
+        job = _Job(composer, keys, typed, allowed, config_dir, out, Builder(allowed, extra or {}))
+        cells = [job.cell(lines) for lines in _reported(jobs(swept), say)]
     if not cells:
         raise UserError(
             f"{' '.join(shorten(s.word) for s in settings)}: the sweep is empty; "
@@ -58,6 +62,18 @@ def compose_cells(
     if len({cell.runner for cell in cells}) > 1:
         raise UserError("runner, store and until cannot be swept: the cells of one run share them")
     return cells
+
+
+def _reported(
+    lines: Sequence[Sequence[str]], say: Callable[[str], None] | None
+) -> Iterator[Sequence[str]]:
+    """Yield the jobs; tell `say` how far they are composed, where that takes long."""
+    due = time.monotonic() + _SILENT_S
+    for number, job in enumerate(lines):
+        if say and time.monotonic() >= due:
+            say(f"composing {len(lines)} cells: {number} done ...")
+            due = time.monotonic() + _EVERY_S
+        yield job
 
 
 def _checked(words: Sequence[str], sweep: bool) -> list[Setting]:
@@ -75,13 +91,9 @@ def _checked(words: Sequence[str], sweep: bool) -> list[Setting]:
     return settings
 
 
-def _own_sweep(settings: Sequence[Setting]) -> list[Setting]:
+def _own_sweep(settings: Sequence[Setting], composer: Composer) -> list[Setting]:
     """The sweep defined by the chosen experiment. Call this where Hydra is initialised."""
-    from hydra import compose
-
-    plain = [s.line for s in settings if not s.is_sweep]
-    base = compose("config", overrides=plain, return_hydra_config=True)
-    params = base.hydra.sweeper.params or {}
+    params = composer.sweep([s.line for s in settings if not s.is_sweep])
     own = read(f"{key}={value}" for key, value in params.items())
     for setting in own:
         refuse_hydra(setting)
@@ -102,13 +114,12 @@ def show(
     """The composed config as YAML, or one dotted part of it; for a `sweep`, the part common to all
     jobs.
     """
-    from hydra import compose
     from omegaconf import OmegaConf
 
     settings = _checked(overrides, sweep)
     with hydra_initialised(config_dir), explained(settings, config_dir):
-        cfg = compose("config", overrides=[s.line for s in settings if not s.is_sweep])
-        whole = OmegaConf.create(with_defaults(cfg, parse_plugins(settings)))
+        nodes = Composer().composed([s.line for s in settings if not s.is_sweep]).nodes
+        whole = OmegaConf.create(with_defaults(nodes, Speller(parse_plugins(settings))))
         part = OmegaConf.select(whole, package) if package else whole
         if part is None:
             raise UserError(
@@ -122,30 +133,35 @@ def show(
 @dataclass
 class _Job:
     """Settings common to all jobs of a sweep; `keys`: the keys that the jobs set, `typed`: the keys
-    that the user's own command line sets.
+    that the user's own command line sets, `out`: the folder of the tables in place of runner.out.
     """
 
+    composer: Composer
     keys: Sequence[str]
     typed: Sequence[str]
     plugins: Sequence[str]
-    extra: Mapping[str, Any] | None
     config_dir: str | None
+    out: str | None
+    builder: Builder
+    speller: Speller = field(init=False)
+    resolver: Resolver = field(default_factory=Resolver)
     presets: dict[tuple[str, ...], dict[str, Any]] = field(default_factory=dict)
 
-    def cell(self, cfg: Any) -> Cell:
-        """The cell of one composed job."""
-        raw = with_defaults(cfg, self.plugins)
-        self._check_selected(raw, dict(cfg.hydra.runtime.choices).get("experiment"))
-        plain = resolved(raw)
-        return build(
-            plain,
-            dict(cfg.hydra.runtime.choices),
-            keys=self.keys,
-            typed=self.typed,
-            plugins=self.plugins,
-            changed=self._changed(raw, plain),
-            extra=self.extra,
-        )
+    def __post_init__(self) -> None:
+        self.speller = Speller(self.plugins)
+
+    def cell(self, lines: Sequence[str]) -> Cell:
+        """The cell of one job, given as lines of overrides."""
+        job = self.composer.composed(lines)
+        raw = with_defaults(job.nodes, self.speller)
+        self._check_selected(raw, job.choices.get("experiment"))
+        plain = self.resolver(raw)
+        keys, typed = self.keys, self.typed
+        if self.out is not None:
+            plain = {**plain, "runner": {**(plain.get("runner") or {}), "out": self.out}}
+            keys, typed = (*keys, "runner.out"), (*typed, "runner.out")
+        changed = self._changed(raw, plain, job)
+        return self.builder.cell(plain, job.choices, keys=keys, typed=typed, changed=changed)
 
     def _check_selected(self, raw: Mapping[str, Any], experiment: str | None) -> None:
         """Raise UserError for a parameter of a filter or estimator that is not selected."""
@@ -163,26 +179,36 @@ class _Job:
                     f"{key}: {name} is not selected; allowed: together with {group}=[{name}]"
                 )
 
-    def _changed(self, raw: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+    def _changed(
+        self, raw: Mapping[str, Any], plain: Mapping[str, Any], job: Composed
+    ) -> dict[str, Any]:
         """Parameters of the estimators, by dotted key, whose values differ from their presets."""
         given = {group: raw[group] for group in LISTS if isinstance(raw.get(group), dict)}
-        default = self._defaults(given)
-        resolved = dict(flatten(plain))
+        default = self._defaults(given, job)
+        values = dict(flatten({group: plain[group] for group in given}))
         return {
-            key: resolved.get(key, value)
+            key: values.get(key, value)
             for key, value in flatten(given)
             if key and (key not in default or default[key] != value)
         }
 
-    def _defaults(self, given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    def _defaults(self, given: Mapping[str, Mapping[str, Any]], job: Composed) -> dict[str, Any]:
         """The parameters of these presets without any override, by dotted key."""
-        from hydra import compose
+        names = tuple(f"{group}:{','.join(map(str, nodes))}" for group, nodes in given.items())
+        if names not in self.presets:
+            whole = with_defaults(self._of_presets(given, job), self.speller)
+            self.presets[names] = dict(flatten({group: whole[group] for group in given}))
+        return self.presets[names]
 
+    def _of_presets(
+        self, given: Mapping[str, Mapping[str, Any]], job: Composed
+    ) -> Mapping[str, Any]:
+        """The nodes of a config in which these presets are as their files hold them."""
+        packages = any("@" in group for group in job.choices)
+        if self.config_dir is None and job.choices.get("experiment") is None and not packages:
+            return job.base  # nothing else sets parameters of filters and estimators
         chosen = []
         for group, nodes in given.items():
-            names = [name for name in nodes if name in options(group, self.config_dir)]
-            chosen.append(f"{group}=[{','.join(names)}]")
-        if tuple(chosen) not in self.presets:
-            whole = with_defaults(compose("config", overrides=chosen), self.plugins)
-            self.presets[tuple(chosen)] = dict(flatten(whole))
-        return self.presets[tuple(chosen)]
+            known = options(group, self.config_dir)
+            chosen.append(f"{group}=[{','.join(name for name in nodes if name in known)}]")
+        return self.composer.composed(chosen).nodes

@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
-from aoabench.config.messages import first_line
+from aoabench.config.defaults import entries, named, refuse_endless, refuse_malformed
 from aoabench.config.overrides import Setting
-from aoabench.config.presets import GROUPS, options
+from aoabench.config.presets import GROUPS, LISTS, options
+from aoabench.config.yaml_files import Unreadable, load
 from aoabench.errors import UserError, shorten
 from aoabench.maths.digest import flatten
+
+_MOST_FILES = 3_000  # folders and YAML files of a user's folder
+_ENDINGS = (".yaml", ".yml")
 
 
 def refuse_hydra(setting: Setting) -> None:
@@ -47,28 +51,70 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
         raise UserError(
             f"--config-dir={config_dir}: a folder 'hydra' inside is not allowed; remove that folder"
         )
-    for folder, _, files in os.walk(root, followlinks=True):
-        place = Path(folder).relative_to(root).parts
-        for name in sorted(files):
-            if name.endswith((".yaml", ".yml")):
-                _check_file(Path(folder) / name, place[0] if place and place[0] in GROUPS else None)
+    lists = {}
+    for file in _files(root):
+        place = file.relative_to(root)
+        group = place.parts[0] if len(place.parts) > 1 and place.parts[0] in GROUPS else None
+        nodes = _checked(file, group)
+        lists[place.with_suffix("").as_posix()] = named(PurePosixPath(place.with_suffix("")), nodes)
+    refuse_endless(root, lists)
 
 
-def _check_file(file: Path, group: str | None) -> None:
-    """Raise UserError for a setting that a file must not hold; `group` is the file's config group,
-    if any.
+def _files(root: Path) -> Iterator[Path]:
+    """The YAML files in a folder and the folders below it, links followed, each folder once below
+    each folder of `root`; UserError for too many.
     """
-    import yaml
+    count = 0
+    for start in (root, *sorted(path for path in root.iterdir() if path.is_dir())):
+        visited: set[tuple[int, int]] = set()
+        for folder, inner, names in os.walk(start, followlinks=True):
+            status = os.stat(folder)
+            again = (status.st_dev, status.st_ino) in visited
+            visited.add((status.st_dev, status.st_ino))
+            inner[:] = [] if again or start == root else sorted(inner)
+            files = [Path(folder, name) for name in sorted(names) if name.endswith(_ENDINGS)]
+            count += 1 + len(files)
+            if count > _MOST_FILES:
+                raise UserError(
+                    f"--config-dir={root}: more than {_MOST_FILES} folders and YAML files; "
+                    f"allowed: a folder of configs, with folders {', '.join(GROUPS)}"
+                )
+            yield from () if again else (file for file in files if file.is_file())
 
+
+def _checked(file: Path, group: str | None) -> Any:
+    """The nodes of a file, {} for one that is no config; UserError for a setting that a file must
+    not hold. `group` is the file's config group, if any.
+    """
     allowed = "allowed: under hydra only hydra.sweeper.params; plugins only on the command line"
     try:
-        text = file.read_text(encoding="utf-8")
-        nodes = list(yaml.safe_load_all(text))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        if group is None:  # nothing that Hydra could compose
-            return
-        raise UserError(f"{file}: not plain YAML: {first_line(error)}") from None
-    for line in text.splitlines():
+        nodes = load(file)
+    except Unreadable as error:
+        if group is None:  # no file that a config may name
+            return {}
+        raise UserError(f"{file}: not a config: {error}") from None
+    if group is not None and not isinstance(nodes, dict):
+        kind = "a list" if isinstance(nodes, list) else f"one value, {shorten(repr(nodes), 80)}"
+        raise UserError(f"{file}: holds {kind}; allowed: lines KEY: VALUE")
+    if group is not None and not file.stem.isprintable():
+        raise UserError(f"{str(file)!r} is not allowed; allowed: a file with a printable name")
+    if group is not None:
+        refuse_malformed(file, nodes)
+    _refuse_header(file)
+    for bad in _foreign_settings(nodes):
+        if group or "hydra" in bad:
+            raise UserError(f"{file}: {shorten(repr(bad), 80)} is not allowed; {allowed}")
+    if group is not None and file.stem in options(group):
+        raise UserError(f"{file}: {group} {file.stem!r} is a shipped preset; choose another name")
+    if group in LISTS and list(nodes) != [file.stem]:
+        keys = shorten(", ".join(map(repr, nodes)), 80)
+        raise UserError(f"{file}: holds {keys or 'nothing'}; allowed: one key, {file.stem!r}")
+    return nodes
+
+
+def _refuse_header(file: Path) -> None:
+    """Raise UserError for a header that puts a file's keys elsewhere."""
+    for line in file.read_text(encoding="utf-8").splitlines():
         words = line.strip().lstrip("#").split()
         if (
             line.strip().startswith("#")
@@ -76,22 +122,8 @@ def _check_file(file: Path, group: str | None) -> None:
             and words[1:] not in (["_global_"], ["_group_"])
         ):
             raise UserError(
-                f"{file}: {line.strip()!r} is not allowed; allowed: # @package _global_"
-            )
-    for node in nodes:
-        for bad in _foreign_settings(node):
-            if group or "hydra" in bad:
-                raise UserError(f"{file}: {bad!r} is not allowed; {allowed}")
-    if group is None:
-        return
-    if file.stem in options(group):
-        raise UserError(f"{file}: {group} {file.stem!r} is a shipped preset; choose another name")
-    if group in ("filter", "estimator"):
-        keys = [key for node in nodes if isinstance(node, dict) for key in node]
-        if keys != [file.stem]:
-            raise UserError(
-                f"{file}: holds {', '.join(map(str, keys)) or 'nothing'}; "
-                f"allowed: one key, {file.stem!r}"
+                f"{file}: {shorten(repr(line.strip()), 80)} is not allowed; "
+                "allowed: # @package _global_"
             )
 
 
@@ -99,21 +131,14 @@ def _foreign_settings(node: Any) -> Iterator[str]:
     """The settings that a document must not make: at the top level, and in its defaults list."""
     if not isinstance(node, dict):
         return
+    for entry in entries(node):
+        group = entry.target.lstrip("/").partition("/")[0]
+        inside = group in GROUPS or "/" not in entry.target
+        if not inside or any(mark in entry.text for mark in ("hydra", "@", "..", "${")):
+            yield f"defaults: {entry.text}"
     for key, value in node.items():
         name = str(key)
-        if name == "defaults":
-            for entry in value if isinstance(value, list) else [value]:
-                target, chosen = (
-                    next(iter(entry.items())) if isinstance(entry, dict) and entry else (entry, "")
-                )
-                words = str(target).split()
-                plain = words[-1] if words else ""
-                group = plain.lstrip("/").partition("/")[0]
-                text = f"{target}: {chosen}" if chosen else str(target)
-                inside = group in GROUPS or "/" not in plain
-                if not inside or any(mark in text for mark in ("hydra", "@", "..", "${")):
-                    yield f"defaults: {text}"
-        elif name.split(".")[0] in ("plugins", "hydra") and name != "hydra":
+        if name.split(".")[0] in ("plugins", "hydra") and name != "hydra":
             yield name
         elif name == "hydra":
             yield from _foreign_hydra(value)
@@ -131,4 +156,4 @@ def _foreign_hydra(node: Any) -> Iterator[str]:
         ):
             yield leaf
         elif isinstance(value, dict | list):
-            yield f"{leaf}: {value}"
+            yield f"{leaf}: {shorten(str(value), 80)}"

@@ -15,7 +15,11 @@ def check_heard(scenario: Scenario, seed: int) -> tuple[str, ...]:
     """Return a line to print if few steps have a measurement; raise BadValue if it is known that no
     step of any replication has one.
     """
-    found = _heard(scenario, seed)
+    return remark(scenario, share_heard(scenario, seed))
+
+
+def remark(scenario: Scenario, found: tuple[float, bool] | None) -> tuple[str, ...]:
+    """`check_heard` for a result of `share_heard`."""
     if found is None:
         return ()
     share, certain = found
@@ -31,7 +35,7 @@ def check_heard(scenario: Scenario, seed: int) -> tuple[str, ...]:
     )
 
 
-def _heard(scenario: Scenario, seed: int) -> tuple[float, bool] | None:
+def share_heard(scenario: Scenario, seed: int) -> tuple[float, bool] | None:
     """The share of the steps at which an anchor measures, and whether it is the same in all
     replications; None for a scenario in which all anchors measure at all steps.
     """

@@ -15,7 +15,8 @@ from aoabench.maths.digest import flatten
 
 @contextmanager
 def explained(settings: Sequence[Setting], config_dir: str | None = None) -> Iterator[None]:
-    """Turn Hydra's and OmegaConf's exceptions into one clear line."""
+    """Turn the exceptions of Hydra, OmegaConf and the YAML parser into one clear line."""
+    import yaml
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
@@ -23,9 +24,16 @@ def explained(settings: Sequence[Setting], config_dir: str | None = None) -> Ite
         yield
     except UserError:
         raise
+    except RecursionError:
+        words = shorten(" ".join(shorten(s.word) for s in settings))
+        raise UserError(
+            f"{words}: cannot be composed: a value is nested too deeply, "
+            "or a config contains itself"
+        ) from None
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_explain(error, settings, config_dir)) from None
-    except (ValueError, TypeError, AssertionError) as error:  # Hydra's own, e.g. of noise=null
+    except (ValueError, TypeError, AssertionError, yaml.YAMLError) as error:
+        # Hydra's own, e.g. of noise=null
         raise UserError(_not_composed(error, settings)) from None
     except OSError as error:  # Hydra's own, of the name of a preset
         if error.errno != errno.ENAMETOOLONG:
@@ -36,7 +44,10 @@ def explained(settings: Sequence[Setting], config_dir: str | None = None) -> Ite
 
 def _explain(error: Exception, settings: Sequence[Setting], config_dir: str | None) -> str:
     from hydra.errors import MissingConfigException
+    from omegaconf.errors import InterpolationResolutionError
 
+    if isinstance(error, InterpolationResolutionError):
+        return f"{error.full_key}: {first_line(error)}"
     missing = getattr(error, "missing_cfg_file", None)
     if isinstance(error, MissingConfigException) and missing:
         group, _, name = str(missing).rpartition("/")
@@ -90,14 +101,15 @@ def known_keys(chosen: Sequence[str] = ()) -> list[str]:
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of an exception's text, without names of classes."""
+    """The first line of an exception's text, or of its cause's, without names of classes."""
     from omegaconf.errors import GrammarParseError
 
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    text = lines[0] if lines else "no reason is given"
-    text = text.replace("DictConfig", "a mapping").replace("ListConfig", "a list")
     if isinstance(error, GrammarParseError):
         return "an interpolation ${...} in the value cannot be read"
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    if not lines:
+        return first_line(error.__cause__) if error.__cause__ else "no reason is given"
+    text = lines[0].replace("DictConfig", "a mapping").replace("ListConfig", "a list")
     return shorten(
         re.sub(r"^\w*(Error|Exception)( raised while resolving interpolation)?: ", "", text)
     )

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from aoabench.config.file_names import quoted, quoted_folder, quoted_names
 from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError, shorten
 
@@ -22,11 +24,9 @@ PATH_KEYS = ("scenario.path", "scenario.anchors", "scenario.walls", "scenario.tr
 
 _TOP_LEVEL = (*GROUPS, "reps", "seed", "plugins", "store.steps", "until.metric", "runner.out")
 _MOST_VALUES = 100_000  # of one swept key
+_MOST_CELLS = 1_000_000  # of a sweep
 _KEY = re.compile(r"[A-Za-z_$][\w$-]*([./][\w$-]+)*(@[\w$.-]*)?", re.ASCII)
-# a value between commas: in quotes, or up to the next comma
-_PIECE = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')\s*(?=,|$)|[^,]*""", re.DOTALL)
 _OF_A_PLUG_IN = re.compile(r"(scenario|noise|filter|estimator)\.")
-_UNREADABLE = object()
 _BRACKETS = {")": "(", "]": "[", "}": "{"}
 _BARE = re.compile(r"[A-Za-z0-9_ \t/\\+.$%*@?|:,()\[\]{}'\"-]")  # Hydra reads these without quotes
 
@@ -71,20 +71,25 @@ def read(words: Iterable[str], sweep: bool = True) -> list[Setting]:
 
 def file_setting(key: str, path: object) -> str:
     """The override that sets `key` to one file or folder, whatever its name."""
-    return f"{key}={_quoted(str(path))}"
+    return f"{key}={quoted(str(path))}"
 
 
 def jobs(settings: Sequence[Setting]) -> list[list[str]]:
     """The lines of each job: all combinations of the values of swept keys; a key's last setting
     counts. Call this where Hydra is initialised.
 
-    Raises UserError for a sweep whose values cannot be counted.
+    Raises UserError for a sweep whose values cannot be counted, or over too many cells.
     """
     lines: dict[str, list[str]] = {}
     for setting in settings:
         key = setting.parsed.get_key_element()
-        swept = setting.is_sweep
-        lines[key] = [f"{key}={v}" for v in _values(setting)] if swept else [setting.line]
+        lines[key] = (
+            [f"{key}={v}" for v in _values(setting)] if setting.is_sweep else [setting.line]
+        )
+    count = math.prod(map(len, lines.values()))
+    if count > _MOST_CELLS:
+        swept = " ".join(shorten(s.word, 80) for s in settings if s.is_sweep)
+        raise UserError(f"{swept}: a sweep over {count} cells; allowed: at most {_MOST_CELLS}")
     return [list(job) for job in itertools.product(*lines.values())]
 
 
@@ -102,8 +107,10 @@ def _read(parser: Any, word: str, sweep: bool) -> Setting:
             "without spaces, with a key of letters, digits, _ and dots"
         )
     line = typed
-    if name in PATH_KEYS and value:
-        line = f"{head}={_file_names(parser, value, sweep)}"
+    if name == "runner.out" and value:
+        line = f"{head}={quoted_folder(parser, value, sweep)}"
+    elif name in PATH_KEYS and value:
+        line = f"{head}={quoted_names(parser, value, sweep)}"
     if head == name and _OF_A_PLUG_IN.match(name):
         line = f"++{line}"  # the class defines the parameters, not the preset
     try:
@@ -140,57 +147,6 @@ def _no_override(word: str) -> str:
     return f"{text}; did you mean '{known[close[0]]}'?" if close else text
 
 
-def _file_names(parser: Any, value: str, sweep: bool) -> str:
-    """The value of a key in PATH_KEYS as Hydra reads it: names that Hydra would not read as text
-    are quoted, with `sweep` each one between commas.
-    """
-    from hydra.core.override_parser.types import ChoiceSweep
-
-    found = _parsed_value(parser, value)
-    simple_sweep = isinstance(found, ChoiceSweep) and found.simple_form
-    if simple_sweep and sweep and all(map(_stays, found.list)):
-        return value
-    if not simple_sweep and _stays(found):
-        return value
-    if not sweep or "," not in value:
-        return _quoted(value.strip())
-    return ",".join(_file_names(parser, piece.strip(), False) for piece in _pieces(value))
-
-
-def _stays(found: Any) -> bool:
-    """Whether a value that Hydra has parsed needs no quotes: it is a text, or cannot be a file name
-    (null, a list, a mapping, a sweep by a function).
-    """
-    return found is not _UNREADABLE and not isinstance(found, bool | int | float)
-
-
-def _parsed_value(parser: Any, value: str) -> Any:
-    """The value as Hydra's grammar reads it, or _UNREADABLE."""
-    from hydra.errors import HydraException
-
-    try:
-        return parser.parse_rule(f"key={value}", "override")._value
-    except (HydraException, RecursionError):
-        return _UNREADABLE
-
-
-def _pieces(value: str) -> Iterator[str]:
-    """The values between the commas of a text; commas in quotes do not separate."""
-    position = 0
-    while position <= len(value):
-        match = _PIECE.match(value, position)
-        assert match  # the second alternative fits everything
-        yield match[0]
-        position = match.end() + 1
-
-
-def _quoted(text: str) -> str:
-    """`text` in quotes, as Hydra's grammar wants it."""
-    from hydra.core.override_parser.types import Quote, QuotedString
-
-    return str(QuotedString(text, Quote.single).with_quotes())
-
-
 def _leaves(value: Any) -> Iterator[str]:
     """The texts in a parsed value, those of a sweep too."""
     from hydra.core.override_parser.types import ChoiceSweep, QuotedString
@@ -209,6 +165,7 @@ def _leaves(value: Any) -> Iterator[str]:
 def _values(setting: Setting) -> list[str]:
     """The values of a sweep, as Hydra reads them."""
     from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.override_parser.types import RangeSweep
     from hydra.errors import HydraException
 
     if not setting.parsed.is_discrete_sweep():
@@ -217,14 +174,18 @@ def _values(setting: Setting) -> list[str]:
             "allowed: VALUE,VALUE or range(START,STOP,STEP)"
         )
     setting.parsed.config_loader = GlobalHydra.instance().config_loader()
+    value, too_many = setting.value, f"more than {_MOST_VALUES} values, the allowed maximum"
+    if isinstance(value, RangeSweep) and value.step:  # if shuffled, Hydra makes a list of it
+        assert value.start is not None
+        assert value.stop is not None
+        if (value.stop - value.start) / value.step > _MOST_VALUES:
+            raise UserError(f"{shorten(setting.word)}: {too_many}")
     try:
         found = list(itertools.islice(setting.parsed.sweep_string_iterator(), _MOST_VALUES + 1))
     except (HydraException, ValueError, TypeError) as error:
         raise UserError(f"{shorten(setting.word)}: {_reason(error)}") from None
     if len(found) > _MOST_VALUES:
-        raise UserError(
-            f"{shorten(setting.word)}: more than {_MOST_VALUES} values, the allowed maximum"
-        )
+        raise UserError(f"{shorten(setting.word)}: {too_many}")
     return found
 
 

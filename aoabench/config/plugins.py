@@ -160,6 +160,22 @@ def spelled_out(node: Any, plugins: Sequence[str] = ()) -> Any:
     return whole | given
 
 
+@dataclasses.dataclass
+class Speller:
+    """`spelled_out` for the nodes of one sweep; equal nodes share the result, which stays as it
+    is.
+    """
+
+    plugins: Sequence[str] = ()
+    known: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __call__(self, node: Any) -> Any:
+        text = repr(node)
+        if text not in self.known:
+            self.known[text] = spelled_out(node, self.plugins)
+        return self.known[text]
+
+
 def _as_node(value: Any) -> Any:
     """A default as a plain YAML node."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from aoabench.errors import printable
 from aoabench.resources import shipped
 
 GROUPS = ("scenario", "noise", "filter", "estimator", "runner", "experiment")
@@ -15,9 +16,11 @@ def options(group: str, config_dir: str | None = None) -> dict[str, str]:
     found: dict[str, str] = {}
     for root in (shipped("configs"), *([Path(config_dir)] if config_dir else [])):
         for file in sorted((root / group).glob("*.yaml")):
-            head = file.read_text(encoding="utf-8").splitlines()
+            if not file.is_file() or not file.stem.isprintable():
+                continue
+            head = file.read_text(encoding="utf-8", errors="replace").splitlines()
             lines = [
                 line[1:].strip() for line in head if line.startswith("#") and "@package" not in line
             ]
-            found.setdefault(file.stem, lines[0] if lines else "")
+            found.setdefault(file.stem, printable(lines[0]) if lines else "")
     return found

@@ -7,8 +7,11 @@ import json
 import os
 import re
 from collections.abc import Sequence
+from io import BytesIO, TextIOWrapper
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from aoabench import loaded
 from aoabench.errors import BadValue, listed
 
 if TYPE_CHECKING:
@@ -25,16 +28,20 @@ def header(key: str, path: object) -> list[str]:
         if parquet:
             import pyarrow.parquet as pq
 
-            with open(str(path), "rb") as parquet_file:
-                stored = pq.read_schema(parquet_file)
+            stored = pq.read_schema(BytesIO(content_of(path)))
             return [*stored.names, *ranges_of(stored)]
-        with open(str(path), encoding="utf-8-sig", newline="") as file:
+        with TextIOWrapper(BytesIO(content_of(path)), encoding="utf-8-sig", newline="") as file:
             found = [name.strip() for name in next(csv.reader(file), [])]
     except (OSError, ValueError, csv.Error) as error:
         raise BadValue(key, path, f"a readable {KINDS}; {reason_of(error)}") from None
     if not any(found):
         raise BadValue(key, path, f"a {KINDS} whose first line names its columns; line 1 is empty")
     return found
+
+
+def content_of(path: object) -> bytes:
+    """The bytes of a file, read once."""
+    return loaded.read(Path(str(path)))[0]
 
 
 def ranges_of(found: pa.Schema) -> dict[str, range]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from aoabench import loaded
 from aoabench.errors import BadValue, shorten
 from aoabench.maths.geometry import Array
 from aoabench.resources import shipped
@@ -84,7 +85,7 @@ def _check_degrees(key: str, path: Path, segments: Array) -> None:
 
 def _text(key: str, path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return loaded.read(path)[0].decode("utf-8-sig")
     except (OSError, UnicodeDecodeError):
         raise BadValue(key, str(path), "a readable file in UTF-8") from None
 

@@ -9,11 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench.devices.columns import KINDS, header, is_parquet, is_plain, ranges_of, reason_of
+from aoabench.devices.columns import (
+    KINDS,
+    content_of,
+    header,
+    is_parquet,
+    is_plain,
+    ranges_of,
+    reason_of,
+)
 from aoabench.errors import BadValue, did_you_mean, listed, shorten
 from aoabench.maths.geometry import Array
 
@@ -60,11 +69,10 @@ class Table:
         import pandas as pd
         import pyarrow.parquet as pq
 
-        with open(path, "rb") as file:
-            whole = pq.ParquetFile(file)
-            ranges = ranges_of(whole.schema_arrow)
-            stored = [name for name in dict.fromkeys(names.values()) if name not in ranges]
-            table = whole.read(stored)
+        whole = pq.ParquetFile(BytesIO(content_of(path)))
+        ranges = ranges_of(whole.schema_arrow)
+        stored = [name for name in dict.fromkeys(names.values()) if name not in ranges]
+        table = whole.read(stored)
         for field in table.schema:
             if not is_plain(field.type):
                 allowed = "columns of texts, numbers or times"
@@ -82,7 +90,7 @@ class Table:
         texts = {place for ours, place in places.items() if ours in TEXTS} | {beyond}
         empty: dict[Any, list[str]] = {p: [""] if p in texts else EMPTY for p in range(beyond + 1)}
         found = pd.read_csv(
-            path,
+            BytesIO(content_of(path)),
             header=None,
             skiprows=1,
             names=range(beyond + 1),

@@ -18,7 +18,6 @@ from aoabench.engine.machines import check_same
 from aoabench.engine.tasks import Loss, Task, kind_of, numbered
 from aoabench.errors import BadValue, RunError, UserError
 from aoabench.roles import PlainEstimator
-from aoabench.store.keys import code_key
 from aoabench.store.lock import check_held
 from aoabench.store.parts import has_part
 
@@ -169,7 +168,7 @@ def _add_path(path: Sequence[str], modules: Sequence[str]) -> str | None:
 
 
 def compute_remotely(
-    number: int, task: Task, out: Path, code: str, kind: dict[str, str]
+    number: int, task: Task, out: Path, kind: dict[str, str]
 ) -> tuple[int, dict[str, Loss]]:
     """Compute a task on a worker, possibly on another machine; return its number and losses.
 
@@ -179,10 +178,10 @@ def compute_remotely(
     here = platform.node()
     if task.cell.runner.other_machines == "refuse":
         check_same(kind, here)
-    if code_key(task.cell) != code:
+    for name, _ in task.origin.differences():
         raise RunError(
-            f"the worker on {here} has another version of the code, "
-            "of a plug-in or of a library than this run; install the same versions"
+            f"the worker on {here} has another version of {name} than this run; "
+            "install the same versions of the code, the plug-ins and the libraries, and restart it"
         )
     if not (out / ".lock").exists():
         raise RunError(

@@ -118,12 +118,12 @@ def writable(folder: str, key: str = "runner.out") -> Path:
     written.
     """
     try:
-        path = Path(folder).expanduser()
+        path = Path(folder)
         path.mkdir(parents=True, exist_ok=True)
         probe = path / f".probe-{os.getpid()}"
         probe.touch()
         probe.unlink()
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise UserError(
             f"{key}={shorten(repr(folder))} cannot be written: {why}; allowed: a writable folder"

@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import math
 import time
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from aoabench.cell import Cell, Until
-from aoabench.engine import tiles
 from aoabench.engine.faults import KEPT, explained, report, writable
 from aoabench.engine.machines import Machines
+from aoabench.engine.planning import merged, tasks_of
 from aoabench.engine.tasks import Loss, Task, kind_of
 from aoabench.engine.timing import timed
-from aoabench.engine.workers import compute_all, cores
+from aoabench.engine.workers import compute_all
 from aoabench.errors import RunError
 from aoabench.maths import statistics
 from aoabench.store import index, tables
+from aoabench.store.claim import claim
 from aoabench.store.folder import errors, record_cell, replay_command, values
-from aoabench.store.keys import draws_key, part_key
+from aoabench.store.keys import RunKeys
 from aoabench.store.layout import sweep
 from aoabench.store.lock import Lock, locked
-from aoabench.store.parts import Part, examined, intact_parts, missing_ranges
-
-_LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
-
+from aoabench.store.parts import discard, examined, intact_parts, missing_ranges
 
 _GIVE_UP_AFTER = 100  # replications; a cell stops if at least this many have all failed
 
@@ -49,30 +46,42 @@ class RunReport:
     precision: tuple[Mapping[str, Any], ...] = ()
 
 
-def run(cells: Sequence[Cell], progress: bool = True) -> RunReport:
+def run(cells: Sequence[Cell], progress: bool = True, fresh: bool = False) -> RunReport:
     """Compute the missing parts of all cells and make the tables. The cells share one runner.out.
+    With `fresh`, compute all of their parts and replace the stored ones.
 
-    Raises UserError if the output folder cannot be written, and RunError for an error during the
-    run (a full disk, a killed worker, more failures than allowed). Finished parts are kept and
-    shown in the tables where possible; the same call continues from them.
+    Raises UserError if the output folder cannot be written or holds anything but runs, or if code
+    or a data file was changed after this process loaded it; RunError for an error during the run (a
+    full disk, a killed worker, more failures than allowed). Finished parts are kept and shown in
+    the tables where possible; the same call continues from them.
     """
     cells = merged(cells)
     out = writable(cells[0].runner.out)
-    with explained(out, KEPT), locked(out, report) as lock:
-        return _Run(out, cells, progress, lock).run()
+    with explained(out, KEPT):
+        claim(out, cells[0].runner.out)
+        keys = RunKeys.of(cells)  # before the wait for the lock: keys name what is loaded now
+        for line in keys.notes:
+            report(line)
+        with locked(out, report) as lock:
+            return _Run(out, cells, keys, lock, progress, fresh).run()
 
 
 class _Run:
     """One run over cells that share an output folder, whose lock the caller holds."""
 
-    def __init__(self, out: Path, cells: Sequence[Cell], progress: bool, lock: Lock) -> None:
+    def __init__(
+        self,
+        out: Path,
+        cells: Sequence[Cell],
+        keys: RunKeys,
+        lock: Lock,
+        progress: bool,
+        fresh: bool,
+    ) -> None:
         self.out, self.cells, self.progress, self.lock = out, cells, progress, lock
         self.options = cells[0].runner
-        self.draws = {cell.id: draws_key(cell) for cell in cells}
-        self.keys = {
-            cell.id: {name: part_key(cell, name, self.draws[cell.id]) for name in cell.estimators}
-            for cell in cells
-        }
+        self.draws, self.keys, self.origins = keys.draws, keys.parts, keys.origins
+        self.stale = {key for some in keys.parts.values() for key in some.values() if fresh}
         self.losses: dict[str, Loss] = {}  # by part key
         self.stored: dict[str, int] = {}  # by part key: number of replications
         self.goal: dict[str, int] = {}  # by cell: number of replications to reach next
@@ -146,6 +155,9 @@ class _Run:
             for name, key in self.keys[cell.id].items():
                 if key not in claimed:
                     claimed.add(key)
+                    if key in self.stale:
+                        self.stale.remove(key)
+                        discard(self.out, key)
                     parts, damaged = examined(self.out, key)
                     for file in damaged:
                         report(
@@ -159,7 +171,7 @@ class _Run:
                     done[name] = parts
                 self._check(cell, name)
             if cell.id not in self.stopped:
-                tasks += _tasks(cell, self.keys[cell.id], done, goal)
+                tasks += tasks_of(cell, self.keys[cell.id], self.origins[cell.id], done, goal)
         self.machines.settle()
         return tasks
 
@@ -242,46 +254,3 @@ class _Run:
         done = [(part.start, part.stop) for part in intact_parts(self.out, key, kind_of(cell))]
         gaps = missing_ranges(done, self.goal[cell.id])
         return gaps[0][0] if gaps else self.goal[cell.id]
-
-
-def merged(cells: Sequence[Cell]) -> list[Cell]:
-    """Merge cells of the same scenario, noise, seed and parameters into one with all their
-    estimators; return the cells, largest first.
-    """
-    found: dict[str, Cell] = {}
-    for cell in cells:
-        other = found.setdefault(cell.id, cell)
-        if other is not cell:
-            config = dict(other.config)
-            for group in ("filter", "estimator"):
-                config[group] = {**(other.config[group] or {}), **(cell.config[group] or {})}
-            found[cell.id] = replace(
-                other,
-                estimators={**other.estimators, **cell.estimators},
-                config=config,
-                reps=max(other.reps, cell.reps),
-                swept=tuple(dict.fromkeys((*other.swept, *cell.swept))),
-            )
-    return sorted(found.values(), key=lambda cell: -cell.reps)
-
-
-def _tasks(
-    cell: Cell, keys: Mapping[str, str], done: Mapping[str, list[Part]], goal: int
-) -> Iterator[Task]:
-    """Yield tasks of whole tiles for the missing replications of the estimators in `done` (name ->
-    stored parts).
-
-    Estimators with the same tile size and the same gap share a task, and so its draws.
-    """
-    gaps: dict[tuple[int, int, int], dict[str, str]] = defaultdict(dict)
-    for name, parts in done.items():
-        ranges = [(part.start, part.stop) for part in parts if kind_of(cell) in part.files]
-        for gap in missing_ranges(ranges, goal):
-            gaps[*gap, tiles.tile_of(cell.estimators[name], cell.scenario)][name] = keys[name]
-    for (start, stop, tile), names in sorted(gaps.items()):
-        chunk = cell.runner.chunk or min(
-            math.ceil((stop - start) / (16 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK
-        )
-        chunk = math.ceil(chunk / tile) * tile
-        for first in range(start - start % chunk, stop, chunk):
-            yield Task(cell, names, max(first, start), min(first + chunk, stop))

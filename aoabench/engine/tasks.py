@@ -9,6 +9,7 @@ from pathlib import Path
 from aoabench.cell import Cell
 from aoabench.engine.block import run_block
 from aoabench.store.files import provenance
+from aoabench.store.keys import Origin
 from aoabench.store.lock import check_held
 from aoabench.store.machine import machine
 from aoabench.store.parts import has_part, write_part
@@ -16,10 +17,13 @@ from aoabench.store.parts import has_part, write_part
 
 @dataclass(frozen=True)
 class Task:
-    """Replications start..stop-1 of one cell for some of its estimators (name -> part key)."""
+    """Replications start..stop-1 of one cell for some of its estimators (name -> part key), and the
+    code and data behind the keys.
+    """
 
     cell: Cell
     keys: Mapping[str, str]
+    origin: Origin
     start: int
     stop: int
 
@@ -60,14 +64,17 @@ def compute(task: Task, out: Path) -> dict[str, Loss]:
     """Compute one task in a worker and write its parts; return the losses by estimator.
 
     A part that another process finished since the task was planned (a worker that outlived its
-    killed parent) is not computed again.
+    killed parent) is not computed again. Raises RunError if this process has other code or data
+    than the run that planned the task, before or after the computation.
     """
     cell = task.cell
+    task.origin.check()
     check_held(out)
     kind, span = kind_of(cell), (task.start, task.stop)
     missing = [name for name, key in task.keys.items() if not has_part(out, key, *span, kind)]
     estimators = {name: cell.estimators[name] for name in missing}
     blocks = run_block(cell.scenario, cell.noise, estimators, cell.seed, *span, cell.runner.steps)
+    task.origin.check()
     losses = {}
     check_held(out)  # no folder is made in the place of one that was moved meanwhile
     for name, block in blocks.items():

@@ -16,7 +16,6 @@ from threadpoolctl import threadpool_limits
 
 from aoabench.engine.dask import cluster, compute_remotely, wait_until_seen
 from aoabench.engine.tasks import Loss, Task, numbered
-from aoabench.store.keys import code_key
 from aoabench.store.machine import machine
 
 _WAITING_TASKS = 256  # queued on a cluster, for workers that connect later
@@ -97,7 +96,7 @@ def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) 
     from joblib import Parallel, delayed
 
     # workers open the folder by its full name: their own working folder does not matter
-    where, codes = out.resolve(), {task.cell.id: code_key(task.cell) for task in tasks}
+    where = out.resolve()
     with cluster(tasks[0].cell.runner, tasks) as backend:
         parallel = Parallel(
             -1,
@@ -106,7 +105,7 @@ def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) 
             pre_dispatch=_WAITING_TASKS,
             batch_size=1,
         )
-        calls = ((i, task, where, codes[task.cell.id], machine()) for i, task in wanted)
+        calls = ((i, task, where, machine()) for i, task in wanted)
         for number, losses in _results(parallel(delayed(compute_remotely)(*c) for c in calls)):
             wait_until_seen(tasks[number], out)
             yield number, losses

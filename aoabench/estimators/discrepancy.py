@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +27,6 @@ from aoabench.params import param
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
-
-if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.kernels import discrepancy  # noqa: F401
 
 KERNELS = "kernels.discrepancy"
 CENTRES = ("midpoint", "estimate")

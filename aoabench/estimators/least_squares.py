@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -36,9 +36,6 @@ from aoabench.params import param
 from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates
-
-if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.kernels import snapshot  # noqa: F401
 
 KERNELS = "kernels.snapshot"
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,9 +43,6 @@ from aoabench.params import param
 from aoabench.roles import NEEDS, Belief, Estimator, Scenario, believed
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates
-
-if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.kernels import access_nodes  # noqa: F401
 
 KERNELS = "kernels.access_nodes"
 PRINTED = ("jacobian", "wrap", "shared", "cross")

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -30,9 +30,6 @@ from aoabench.params import param
 from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates
-
-if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.kernels import kalman  # noqa: F401
 
 KERNELS = "kernels.kalman"
 Posterior = tuple[Array, Array]  # mean (R, n) and a square root (R, n, k) of its covariance

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -34,9 +34,6 @@ from aoabench.params import param
 from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import PARTICLES, Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
-
-if TYPE_CHECKING:  # loaded by name; results depend on it, and store.source_hash must see that
-    from aoabench.kernels import particle  # noqa: F401
 
 KERNELS = "kernels.particle"
 

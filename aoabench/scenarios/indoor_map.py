@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from aoabench import loaded
 from aoabench.devices import plan
 from aoabench.devices.anchors import SCHEMA
 from aoabench.devices.floor_plan import FloorPlan
 from aoabench.errors import BadValue, check_array
+from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario
@@ -112,6 +114,8 @@ class IndoorMap(Scenario):
         most=MOST_STEPS,
     )
 
+    _files = ()
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.truth_from == "route" and self.steps is not None:
@@ -120,11 +124,13 @@ class IndoorMap(Scenario):
             raise BadValue("motion", self.motion, STATE)
         # read the files now, so that mistakes in them are reported at construction
         _ = self._path
-        self._plan.check(
-            (self.anchors, self.walls),
-            np.array(self.route, dtype=float),
-            wanders=self.truth_from == "model",
-        )
+        with loaded.reading() as files:
+            self._plan.check(
+                (self.anchors, self.walls),
+                np.array(self.route, dtype=float),
+                wanders=self.truth_from == "model",
+            )
+        object.__setattr__(self, "_files", files())
         if not 1 <= self.route_steps <= MOST_STEPS:
             allowed = (
                 f"one that cuts the route of {self._path.length:g} m into 1 to {MOST_STEPS} steps"
@@ -133,9 +139,13 @@ class IndoorMap(Scenario):
 
     # --- the place --------------------------------------------------------------------------------
 
-    @cached_property
-    def files(self) -> tuple[Path, ...]:
-        """The files that the scenario was read from."""
+    @property
+    def files(self) -> tuple[DataFile, ...]:
+        """The files that the scenario was read from, as they were then."""
+        return self._files
+
+    def _found(self) -> tuple[Path, ...]:
+        """The files of anchors and walls."""
         named = (("anchors", self.anchors), ("walls", self.walls))
         return tuple(
             plan.find(key, name) for key, name in named if key == "anchors" or name is not None
@@ -150,7 +160,7 @@ class IndoorMap(Scenario):
 
     @cached_property
     def _plan(self) -> FloorPlan:
-        return FloorPlan.read(self.files, self.walls_unit, self.walls_crs)
+        return FloorPlan.read(self._found(), self.walls_unit, self.walls_crs)
 
     @property
     def wall_segments(self) -> Array | None:

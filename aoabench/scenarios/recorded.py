@@ -8,17 +8,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from aoabench import loaded
 from aoabench.devices import log
 from aoabench.devices.anchors import AnchorsFile, read_anchors
 from aoabench.devices.columns import EXISTING
 from aoabench.devices.extent import Thing, check_anchors
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, check_array
+from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
 from aoabench.params import param
 from aoabench.roles import Scenario
@@ -147,6 +148,8 @@ class Recorded(Scenario):
     shares_positions = True
     replications = 1
 
+    _files = ()
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.heading_deg is not None and (self.measured_by, self.frame) != ("mobile", "own"):
@@ -161,7 +164,9 @@ class Recorded(Scenario):
                 raise BadValue(
                     "bounds_m", self.bounds_m, "the lower corner, then the upper corner, or null"
                 )
-        truth = self._log.truth  # reads the files: mistakes are reported at construction
+        with loaded.reading() as files:  # now, so that mistakes are reported at construction
+            truth = self._log.truth
+        object.__setattr__(self, "_files", files())
         z = truth[np.isfinite(truth[:, 2]), 2]
         if self.height_m is None and len(z) and np.ptp(z) < 1e-3:
             object.__setattr__(self, "height_m", float(np.median(z)))
@@ -172,9 +177,9 @@ class Recorded(Scenario):
             check_anchors(Thing("anchors", "anchors", self.anchors, position), target)
 
     @property
-    def files(self) -> tuple[Path, ...]:
-        """The files that the scenario was read from."""
-        return tuple(Path(f).resolve() for f in (self.path, self.anchors) if isinstance(f, str))
+    def files(self) -> tuple[DataFile, ...]:
+        """The files that the scenario was read from, as they were then."""
+        return self._files
 
     @property
     def names(self) -> dict[str, str]:

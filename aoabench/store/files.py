@@ -73,7 +73,9 @@ def write_atomically(path: Path, write: Any) -> None:
 
     Raises WriteError for an error of the file system about this file.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
+    # absolute, because Arrow takes a relative path with a colon for a URI
+    unique = f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}"
+    temporary = path.absolute().with_name(unique)
     try:
         _make(path.parent)
         write(temporary)

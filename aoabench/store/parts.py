@@ -148,6 +148,13 @@ def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
     return parts, damaged
 
 
+def discard(out: Path, key: str) -> None:
+    """Remove all parts of a key, their checksum files first, so that none is left half removed."""
+    for pattern in ("*.json", "*"):
+        for file in (out / "parts" / key).glob(pattern):
+            file.unlink(missing_ok=True)
+
+
 def missing_ranges(done: Sequence[tuple[int, int]], reps: int) -> list[tuple[int, int]]:
     """The ranges of 0..reps-1 that the ranges `done` do not cover."""
     gaps, position = [], 0

@@ -63,8 +63,10 @@ def reproduce(
     results: Path,
     echo: Echo,
     formats: Sequence[str] = ("png",),
+    fresh: bool = False,
 ) -> Reproduced:
-    """Compute the items of the named studies (all if none is named) at a scale, then draw them.
+    """Compute the items of the named studies (all if none is named) at a scale, then draw them;
+    with `fresh`, reuse no stored replications.
 
     Raises UserError for an unknown study or item.
     """
@@ -87,12 +89,9 @@ def reproduce(
     computed = []
     for s, item in items:
         begin = time.perf_counter()
-        frame, origin = compute(s, item, scale, results)
-        origin = {
-            **provenance(origin),
-            "scale": scale,
-            "seconds": round(time.perf_counter() - begin, 2),
-        }
+        frame, origin = compute(s, item, scale, results, fresh)
+        seconds = round(time.perf_counter() - begin, 2)
+        origin = {**provenance(origin), "scale": scale, "seconds": seconds}
         write_frame(study.table_path(results, s, item), frame, origin)
         row = {"study": s.name, "item": item.name, "rows": len(frame)}
         computed.append({**row, "seconds": origin["seconds"]})
@@ -102,7 +101,9 @@ def reproduce(
     return Reproduced(computed, drawn)
 
 
-def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tuple[Any, Any]:
+def compute(
+    s: study.Study, item: study.Item, scale: str, results: Path, fresh: bool = False
+) -> tuple[Any, Any]:
     """The table (a frame) of one item, and the config that it came from."""
     reduce = getattr(s.numbers, item.name)
     if item.experiment is None:
@@ -114,7 +115,7 @@ def compute(s: study.Study, item: study.Item, scale: str, results: Path) -> tupl
     cells = compose_cells(
         [f"experiment={item.experiment}", *item.scale[scale], file_setting("runner.out", out)]
     )
-    runner.run(cells)
+    runner.run(cells, fresh=fresh)
     origin = {"experiment": item.experiment, "cells": [c.config for c in cells]}
     if item.reads == "fixes":
         found = ((c, {name: fixes(out, c.id, name) for name in c.estimators}) for c in cells)

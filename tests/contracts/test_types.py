@@ -15,7 +15,7 @@ FOREIGN = {
     ("config/messages.py", "options"),
     ("engine/faults.py", "strerror"),
     ("devices/table.py", "strerror"),
-    ("store/keys.py", "__file__"),
+    ("store/live.py", "py_func"),
     ("cli/main.py", None),  # signals that a platform lacks
 }
 

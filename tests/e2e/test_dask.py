@@ -19,7 +19,8 @@ from aoabench.cli.main import main
 from aoabench.config.compose import compose_cells
 from aoabench.engine import dask as dask_module
 from aoabench.engine import runner
-from aoabench.store import keys
+from aoabench.store import reach
+from aoabench.store.keys import RunKeys
 from aoabench.store.parts import intact_parts
 from tests.commands import PATIENCE_S, Command
 
@@ -119,8 +120,8 @@ def test_rows_are_those_of_one_process_though_a_worker_is_killed_half_way(tmp_pa
         frame = aoabench.run(*words, out="plugin", config_dir="conf", plugins=["my_remote_origin"])
         assert len(frame) == 300
         # a worker with other code refuses to compute under this run's keys
-        monkeypatch.setattr(keys, "_versions", lambda: {"numpy": "0.1"})
-        with pytest.raises(aoabench.RunError, match="has another version of the code"):
+        monkeypatch.setattr(reach, "version", lambda name: "0.1")
+        with pytest.raises(aoabench.RunError, match="has another version of numpy than this run"):
             runner.run(
                 compose_cells([*WORDS, "seed=2", *words[:2], "runner.out=dask"]), progress=False
             )
@@ -154,7 +155,7 @@ def test_the_cluster_is_not_part_of_any_key():
         )
     )
     assert local.id == far.id
-    assert keys.part_key(local, "ekf_vmf") == keys.part_key(far, "ekf_vmf")
+    assert RunKeys.of([local]).parts == RunKeys.of([far]).parts
 
 
 @pytest.mark.parametrize(("words", "expected"), [

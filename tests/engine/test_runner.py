@@ -1,5 +1,6 @@
 """Bit-identity, pairing, top-up, reuse and integrity of runs, through the Python interface."""
 
+import ast
 import dataclasses
 import json
 
@@ -12,9 +13,9 @@ from aoabench.columns import REPLICATIONS, STEPS, TIMING
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.resources import shipped
-from aoabench.store import keys
+from aoabench.store import keys, reach
 from aoabench.store.files import read_provenance
-from aoabench.store.keys import _parsed, draws_key, part_key, source_hash
+from aoabench.store.keys import RunKeys
 from aoabench.store.parts import missing_ranges
 from tests.commands import Command
 
@@ -244,8 +245,8 @@ def test_an_altered_part_is_found_and_computed_again(tmp_path):
 
 
 def keys_of(*overrides):
-    cell = compose_cells([*BASE, *overrides])[0]
-    return [part_key(cell, name) for name in cell.estimators]
+    cells = compose_cells([*BASE, *overrides])
+    return list(RunKeys.of(cells).parts[cells[0].id].values())
 
 
 def test_keys_depend_on_what_numbers_depend_on_and_nothing_else():
@@ -269,52 +270,6 @@ def test_keys_depend_on_what_numbers_depend_on_and_nothing_else():
     mine = keys_of("filter.ekf_vmf.measurement.kappa=40")
     assert mine[0] != base[0]
     assert mine[1] == base[1], "another estimator's parameter"
-
-
-@pytest.mark.parametrize("library", ["numpy", "scipy", "numba", "shapely"])
-def test_keys_depend_on_the_version_of_each_library(library, monkeypatch):
-    cell = compose_cells(["filter=[ekf_vmf]"])[0]
-
-    def found():
-        return keys.draws_key(cell), keys.part_key(cell, "ekf_vmf"), keys.code_key(cell)
-
-    before, version = found(), keys.version
-    assert version(library)
-    monkeypatch.setattr(keys, "version", lambda name: "0" if name == library else version(name))
-    assert not set(found()) & set(before)
-    monkeypatch.undo()
-    assert found() == before
-
-
-def test_source_hash_follows_imports_and_ignores_comments(tmp_path, monkeypatch):
-    """Through a helper beside the plug-in too, which `plugins` does not name."""
-    monkeypatch.syspath_prepend(tmp_path)
-    a, b = tmp_path / "plug_a.py", tmp_path / "plug_b.py"
-    a.write_text('"""Doc."""\nimport plug_b\nimport numpy\nx = 1\n')
-    b.write_text("y = 1\n")
-    first = source_hash({"plug_a"}, ("plug_a",))
-    a.write_text('"""Other doc."""\nimport plug_b  # why\n\nimport numpy\n\nx = 1\n')
-    assert source_hash({"plug_a"}, ("plug_a",)) == first
-    b.write_text("y = 22\n")
-    assert source_hash({"plug_a"}, ("plug_a",)) != first
-
-
-def test_source_hash_of_a_filter_covers_what_it_imports_but_no_plot(monkeypatch):
-    import sys
-
-    read = []
-    original = _parsed
-    monkeypatch.setattr(
-        keys, "_parsed", lambda file, *a: (read.append(file), original(file, *a))[1]
-    )
-    source_hash({"aoabench.filters.kalman", "aoabench.engine.block"})
-    names = {f"{f.parent.name}.{f.stem}" for f in read}
-    assert {"engine.block", "engine.tiles", "engine.metrics", "filters.kalman"} <= names
-    assert {"maths.geometry", "kernels.kalman", "aoabench.types", "aoabench.streams"} <= names
-    wings = {name.partition(".")[0] for name in names}
-    assert not wings & {"report", "studies", "store", "config", "cli"}
-    assert not names & {"engine.runner", "engine.workers", "engine.timing"}
-    assert "numpy" in sys.modules
 
 
 def test_changed_source_is_never_reused_and_a_changed_plot_is(tmp_path):
@@ -344,16 +299,19 @@ def test_changed_source_is_never_reused_and_a_changed_plot_is(tmp_path):
                               capture_output=True, text=True, check=True)  # fmt: skip
         return done.stdout.splitlines()[0]
 
-    def change(file):
+    def change(file, name=None):
         path = tmp_path / "aoabench" / file
-        path.write_text(f"{path.read_text()}\n_CHANGED = True\n")
+        tree = ast.parse(path.read_text())
+        body = next((n.body for n in tree.body if name and name == vars(n).get("name")), tree.body)
+        body.append(ast.parse("_changed = True").body[0])
+        path.write_text(ast.unparse(tree))
 
     assert "8 replications x estimators computed, 0 reused" in said()
-    for file in ("report/plots.py", "report/trace.py", "engine/runner.py", "filters/particle.py"):
+    for file in ("report/plots.py", "report/trace.py", "engine/runner.py", "filters/kalman.py"):
         change(file)
     assert "0 replications x estimators computed, 8 reused" in said()
-    for file in ("engine/metrics.py", "filters/kalman.py"):
-        change(file)
+    for file, name in (("engine/metrics.py", "per_replication"), ("filters/kalman.py", "EKF")):
+        change(file, name)
         assert "8 replications x estimators computed, 0 reused" in said(), file
 
 
@@ -570,7 +528,8 @@ def test_what_estimators_share_cannot_be_written(tmp_path):
 
 def test_estimators_that_saw_older_draws_leave_the_cell(tmp_path, monkeypatch):
     aoabench.run("filter=[ekf_vmf]", "reps=5", out=tmp_path)
-    monkeypatch.setattr(keys, "version", lambda name: "another")
+    for module in (reach, keys):
+        monkeypatch.setattr(module, "version", lambda name: "another")
     aoabench.run("filter=[ukf_vmf]", "reps=5", out=tmp_path)
     assert set(aoabench.load(tmp_path)["estimator"]) == {"ukf_vmf"}
 
@@ -664,7 +623,8 @@ def test_results_are_keyed_on_the_content_of_data_files(tmp_path, monkeypatch):
     keys = []
     for text in (nodes, nodes, nodes.replace("5,0,3", "5,1,3")):
         (tmp_path / "nodes.csv").write_text(text)
-        keys.append(draws_key(compose_cells([*words, "noise=ofdm_crlb", "filter=[ekf_aoa]"])[0]))
+        cells = compose_cells([*words, "noise=ofdm_crlb", "filter=[ekf_aoa]"])
+        keys += RunKeys.of(cells).draws.values()
     assert keys[0] == keys[1] != keys[2]
 
 

@@ -76,7 +76,7 @@ def test_a_long_table_becomes_fixes_by_anchors(here):
     assert m.elevation_sigma is None
     np.testing.assert_allclose(s.truth(None), [[3, 3, 1], [3, 2, 1]])
     assert s.height_m == 1.0
-    assert [file.name for file in s.files] == ["log.csv", "anchors.csv"]
+    assert [file.path.name for file in s.files] == ["anchors.csv", "log.csv"]
     assert s.notes == ("log.csv: 2 fixes, 2 with ground truth; 4 rows of 3 anchors",)
 
 

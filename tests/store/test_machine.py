@@ -148,10 +148,10 @@ def test_parts_that_the_run_does_not_use_are_not_counted(tmp_path, monkeypatch, 
 
 def test_a_worker_of_another_kind_refuses(tmp_path, monkeypatch):
     (cell,) = cells(tmp_path, other_machines="refuse")
-    task = tasks.Task(cell, {"ls": "key"}, 0, 1)
+    task = tasks.Task(cell, {"ls": "key"}, None, 0, 1)
     monkeypatch.setattr(machines, "machine", lambda: OTHER)
     with pytest.raises(RunError, match=r"another kind of processor than this run \(NumPy's BLAS"):
-        dask.compute_remotely(0, task, tmp_path, "code", machine())
+        dask.compute_remotely(0, task, tmp_path, machine())
 
 
 def test_kinds_of_a_clusters_workers_are_compared(elsewhere, capsys):

@@ -375,7 +375,10 @@ def test_own_files_come_first_and_any_path_will_do(here):
     path.write_text(json.dumps(content))
     for walls in ("plans/own.geojson", str(path)):
         mine = own(anchors="indoor_map_anchors.csv", walls=walls)
-        assert mine.files == ((here / "indoor_map_anchors.csv").resolve(), path.resolve())
+        assert tuple(f.path for f in mine.files) == (
+            (here / "indoor_map_anchors.csv").resolve(),
+            path.resolve(),
+        )
         assert mine.true_anchors.position.shape == (1, 1, 2, 3)
         assert mine.wall_segments.shape == (5, 2, 2)  # the one of length 0 is left out
         assert mine.visited_area_m2 == pytest.approx(4 - 1)
@@ -384,8 +387,8 @@ def test_own_files_come_first_and_any_path_will_do(here):
     assert np.array_equal(
         seen[:, 0], x < 2
     )  # behind the wall at x = 2, -1 <= y <= 1 the first is hidden
-    assert own().files == ((here / "a.csv").resolve(),)
-    assert preset().files == (
+    assert tuple(f.path for f in own().files) == ((here / "a.csv").resolve(),)
+    assert tuple(f.path for f in preset().files) == (
         (here / "indoor_map_anchors.csv").resolve(),  # the user's own of that name
         (CONFIGS / "plans" / "indoor_map.geojson").resolve(),
     )
@@ -524,4 +527,4 @@ def test_a_direct_construction_needs_no_yaml(here):
     assert scenario.truth(np.random.default_rng(1)).shape == (27, 9)
     with pytest.raises(UserError, match="motion"):
         IndoorMap("own", "a.csv", [[0, 0], [3, 0]], RandomWalk(), None)
-    assert os.path.samefile(scenario.files[0], here / "a.csv")
+    assert os.path.samefile(scenario.files[0].path, here / "a.csv")

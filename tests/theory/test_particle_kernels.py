@@ -17,12 +17,14 @@ from aoabench.filters import particle as pf
 from aoabench.filters import particle_inputs as inputs
 from aoabench.filters.compiled import KINDS, kind_of
 from aoabench.kernels.loading import load
+from aoabench.loaded import source
 from aoabench.maths.directional import vmf_log_peak
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
 from aoabench.roles import Scenario
-from aoabench.store import keys
+from aoabench.store.definitions import parsed
+from aoabench.store.reach import reach
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch
 from tests.theory.assembly import assembly, vector_registers
@@ -501,16 +503,11 @@ def test_the_kernels_number_measurement_models_as_the_filters_do():
         ("estimators.discrepancy", ("discrepancy", "ellipses", "angles", "small", "compile")),
     ],
 )
-def test_results_are_keyed_on_the_kernels_source(module, kernels_, monkeypatch):
-    """They are loaded by name, so the key of stored results must be told of them and of what they share."""
-    read, parsed = [], keys._parsed
-    monkeypatch.setattr(
-        keys,
-        "_parsed",
-        lambda file, *rest: read.append(f"{file.parent.name}/{file.name}") or parsed(file, *rest),
-    )
-    keys.source_hash([f"aoabench.{module}"])
-    assert {f"kernels/{name}.py" for name in kernels_} <= set(read)
+def test_results_are_keyed_on_the_kernels_source(module, kernels_):
+    """They are loaded by name, so the key of stored results must see them and what they share."""
+    names = parsed(f"aoabench.{module}", source(f"aoabench.{module}")).names
+    found = reach([(f"aoabench.{module}", name) for name in names])
+    assert {f"aoabench.kernels.{name}" for name in kernels_} <= set(found.sources)
 
 
 LIBM = re.compile(

@@ -1,0 +1,52 @@
+"""Interpolations that read the machine are refused: parameters are stored in tables that people
+share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from aoabench.errors import UserError, shorten
+
+VARIABLES = ("DASK_SCHEDULER_ADDRESS",)  # of the environment, which any config may read
+_REFUSED = ("hydra", "now", "python_version")
+
+
+@contextmanager
+def guarded() -> Iterator[None]:
+    """Let OmegaConf's `oc.env` read VARIABLES only, and Hydra's own resolvers nothing."""
+    from omegaconf import OmegaConf
+    from omegaconf.basecontainer import BaseContainer
+
+    before = dict(BaseContainer._resolvers)
+    OmegaConf.register_new_resolver("oc.env", _environment, replace=True)
+    for name in _REFUSED:
+        OmegaConf.register_new_resolver(name, _refusing(name), replace=True)
+    try:
+        yield
+    finally:
+        for name in ("oc.env", *_REFUSED):
+            del BaseContainer._resolvers[name]
+        BaseContainer._resolvers.update(before)
+
+
+def _environment(*given: Any) -> Any:
+    """OmegaConf's `oc.env`; UserError for a variable that configs must not read."""
+    from omegaconf.resolvers import oc
+
+    if given[:1] and given[0] in VARIABLES:
+        return oc.env(*given)
+    name = shorten(repr(str(given[0]))[1:-1], 80) if given else ""
+    raise UserError(
+        f"${{oc.env:{name}}} is not allowed, because tables hold all parameters; "
+        f"allowed: the value itself, or ${{oc.env:{','.join(VARIABLES)}}}"
+    )
+
+
+def _refusing(name: str) -> Any:
+    def refuse(*_given: Any) -> Any:
+        raise UserError(f"${{{name}:...}} is not allowed; allowed: the value itself")
+
+    return refuse
