@@ -114,7 +114,7 @@ def run(  # noqa: PLR0913 - an option each
     if cfg:
         from aoabench.config import compose
 
-        print(compose.show(words, config_dir, resolve, package, multirun), end="")
+        echo(compose.show(words, config_dir, resolve, package, multirun).removesuffix("\n"))
         return
     cells = _composed(words, multirun, config_dir)
     _simulate(cells, fresh, worst, as_json)
