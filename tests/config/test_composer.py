@@ -11,6 +11,7 @@ from aoabench.config.compose import compose_cells
 from aoabench.config.composer import Composer
 from aoabench.config.nodes import Resolver, hydra_initialised, resolved
 from aoabench.config.overrides import read
+from tests.scenarios.test_heard import Deaf
 
 OWN = {
     "experiment/mine.yaml": """# @package _global_
@@ -217,8 +218,24 @@ def test_positions_are_looked_at_once_unless_they_depend_on_the_seed(monkeypatch
     compose_cells([*walls, "seed=range(0,5)", "noise.sigma_deg=2,3"])
     assert looked == [0]
     looked.clear()
-    compose_cells(["scenario=bs_grid", "estimator=[ls]", "seed=range(0,3)", "noise.sigma_deg=2,3"])
-    assert sorted(set(looked)) == sorted(looked), "a seed once"
+    builder, scattered = build.Builder(), Deaf("own", 4, spread_m=1)
+    for seed in (1, 2, 1, 2):
+        builder._heard(scattered, seed)
+    assert looked == [1, 2]
+
+
+def test_what_differs_from_the_presets_whoever_sets_it(tmp_path):
+    """An experiment, or a file of one's own that sets keys at the top."""
+    words = ["experiment=nurminen2018_particles", "filter=[pf_vmf,pf_ae_nominal]", "noise=vmf"]
+    cell = compose_cells(words)[0]
+    assert cell.changed["filter.pf_ae_nominal.particles"] == 100
+    folder = tmp_path / "runner"
+    folder.mkdir()
+    (folder / "mine.yaml").write_text(
+        "# @package _global_\nrunner: {out: o}\nfilter: {ekf_vmf: {engine: numpy}}\n"
+    )
+    (cell,) = compose_cells([EKF, "runner=mine"], config_dir=str(tmp_path))
+    assert cell.changed == {"filter.ekf_vmf.engine": "numpy"}
 
 
 def test_a_long_sweep_says_how_far_it_is_composed(monkeypatch):

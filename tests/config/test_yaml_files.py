@@ -22,8 +22,8 @@ VMF = "_target_: aoabench.noise.angular.VonMisesFisher\n"
 PARAMS = EXPERIMENT + "hydra:\n  sweeper:\n    params:\n"
 
 
-def bomb(indent="", opened="[", closed="]", item="*{0}", levels=6):
-    """Nine aliases of nine aliases of ...: 9^6 values in some hundred bytes."""
+def bomb(indent="", opened="[", closed="]", item="*{0}", levels=5):
+    """Nine aliases of nine aliases of ...: 9^5 values in some hundred bytes."""
     lines = [f"{indent}a0: &a0 {{x: 1}}"]
     for i in range(1, levels + 1):
         inside = ", ".join(item.format(f"a{i - 1}", j) for j in range(9))
