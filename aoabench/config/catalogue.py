@@ -82,7 +82,7 @@ def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str,
 def fitting_estimators(scenario: Scenario, noise: Noise) -> dict[str, list[str]]:
     """By group, the shipped filters and estimators that run in this scenario with this noise."""
     found: dict[str, list[str]] = {group: [] for group in LISTS}
-    for group, name in _that_fit(_composed(_every_estimator()), scenario, noise):
+    for group, name in _that_fit(_shipped_estimators(), scenario, noise):
         found[group].append(name)
     return found
 
@@ -117,6 +117,12 @@ def _shipped_nodes(group: str) -> dict[str, Any]:
             name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)
         }
     return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in composed.items()}
+
+
+@cache
+def _shipped_estimators() -> dict[str, Any]:
+    """The resolved config with all shipped filters and estimators."""
+    return _composed(_every_estimator())
 
 
 def _every_estimator(config_dir: str | None = None) -> list[str]:

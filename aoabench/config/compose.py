@@ -14,7 +14,7 @@ from typing import Any
 from aoabench.cell import Cell
 from aoabench.config.build import Builder
 from aoabench.config.composer import Composed, Composer
-from aoabench.config.guard import refuse_hydra
+from aoabench.config.guard import refuse_hydra, refuse_unreadable
 from aoabench.config.messages import explained
 from aoabench.config.nodes import Resolver, hydra_initialised, with_defaults
 from aoabench.config.overrides import Setting, jobs, read
@@ -46,6 +46,7 @@ def compose_cells(
     """
     named = [f"plugins=[{','.join(plugins)}]"] if plugins else []
     settings = _checked([*overrides, *named], sweep)
+    refuse_unreadable(config_dir, settings)
     allowed = parse_plugins(settings)
     with hydra_initialised(config_dir), explained(settings, config_dir):
         composer = Composer()
@@ -117,6 +118,7 @@ def show(
     from omegaconf import OmegaConf
 
     settings = _checked(overrides, sweep)
+    refuse_unreadable(config_dir, settings)
     with hydra_initialised(config_dir), explained(settings, config_dir):
         nodes = Composer().composed([s.line for s in settings if not s.is_sweep]).nodes
         whole = OmegaConf.create(with_defaults(nodes, Speller(parse_plugins(settings))))

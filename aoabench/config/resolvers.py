@@ -13,8 +13,9 @@ _REFUSED = ("hydra", "now", "python_version")
 
 
 def guard() -> None:
-    """Let OmegaConf's `oc.env` read VARIABLES only, and Hydra's own resolvers nothing, until Hydra's
-    state is put back, of which all resolvers are a part.
+    """Let OmegaConf's `oc.env` read VARIABLES only, and Hydra's own resolvers nothing.
+
+    This lasts until Hydra's state is put back: all resolvers are a part of it.
     """
     from omegaconf import OmegaConf
 

@@ -201,6 +201,15 @@ def test_what_hydra_reads_is_read(tmp_path):
         load(file)
 
 
+def test_a_file_beside_the_groups_is_read_within_the_bounds_too(tmp_path):
+    folder = write(tmp_path, {"site/a.yaml": bomb(), "site/b.yaml": "c: 1\n"})
+    for word in ("+site=a", "+site=b,a", "+site=[b,a]"):
+        with pytest.raises(UserError, match=r"site/a\.yaml: not a config: .*aliases counted"):
+            compose_cells(["filter=[ekf_vmf]", word], config_dir=folder)
+    with pytest.raises(UserError, match="site: unknown key"):
+        compose_cells(["filter=[ekf_vmf]", "+site=b"], config_dir=folder)
+
+
 def test_links_to_folders_above_are_followed_once(tmp_path):
     write(tmp_path, {"noise/sub/x.yaml": VMF, "elsewhere/y.yaml": "hydra: {callbacks: {a: b}}\n"})
     for name in "abcd":
