@@ -23,7 +23,7 @@ from aoabench.config.presets import LISTS, options
 from aoabench.errors import UserError, did_you_mean, shorten
 from aoabench.maths.digest import flatten
 
-_SILENT_S = 1.0  # seconds of composing without a line of progress
+_SILENT_S = 0.3  # seconds of composing without a line of progress
 _EVERY_S = 10.0  # seconds between further lines
 
 
@@ -42,7 +42,7 @@ def compose_cells(
 
     Without `sweep` the list has one cell, and several values for a key are a mistake. `out` is the
     folder of the tables, literally, in place of runner.out. `say` gets a line of progress where
-    composing takes longer than a second. Raises UserError for every mistake.
+    composing takes longer than _SILENT_S. Raises UserError for every mistake.
     """
     named = [f"plugins=[{','.join(plugins)}]"] if plugins else []
     settings = _checked([*overrides, *named], sweep)
