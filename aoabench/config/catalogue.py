@@ -8,6 +8,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
+from aoabench.config.messages import explained
 from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options
@@ -39,7 +40,7 @@ def parameters(name: str, config_dir: str | None = None) -> list[Parameter]:
     from hydra import compose
 
     group = group_of(name, config_dir)
-    with hydra_initialised(config_dir):
+    with hydra_initialised(config_dir), explained((), config_dir):
         chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
         whole = plain_nodes(compose("config", overrides=[chosen]), Speller())
     node = whole[group][name] if group in LISTS else whole[group]
@@ -134,7 +135,7 @@ def _composed(overrides: Sequence[str], config_dir: str | None = None) -> dict[s
     """The resolved config with these overrides."""
     from hydra import compose
 
-    with hydra_initialised(config_dir):
+    with hydra_initialised(config_dir), explained((), config_dir):
         cfg = compose("config", overrides=list(overrides))
         return resolved(plain_nodes(cfg, Speller()))
 

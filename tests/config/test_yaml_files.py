@@ -177,6 +177,14 @@ def test_names_and_descriptions_that_a_terminal_would_obey(tmp_path, capsys):
     assert "\x1b" not in capsys.readouterr().err
 
 
+def test_a_preset_that_cannot_be_composed_cannot_be_listed(tmp_path, capsys):
+    folder = write(tmp_path, {"noise/x.yaml": "defaults: [nope]\n" + VMF})
+    with pytest.raises(SystemExit) as stop:
+        main(["list", "x", "--config-dir", folder])
+    assert stop.value.code == 2
+    assert "noise='nope': unknown preset; allowed: ae_flip" in capsys.readouterr().err
+
+
 def test_what_hydra_reads_is_read(tmp_path):
     """Numbers and words as OmegaConf's loader takes them, aliases, and both bounds themselves."""
     file = tmp_path / "x.yaml"
