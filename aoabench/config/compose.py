@@ -6,6 +6,7 @@ not used, because their `_target_`s would run code before our checks.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -160,7 +161,8 @@ class _Job:
         plain = self.resolver(raw)
         keys, typed = self.keys, self.typed
         if self.out is not None:
-            plain = {**plain, "runner": {**(plain.get("runner") or {}), "out": self.out}}
+            out = os.path.abspath(self.out) if self.out.startswith("~") else self.out
+            plain = {**plain, "runner": {**(plain.get("runner") or {}), "out": out}}
             keys, typed = (*keys, "runner.out"), (*typed, "runner.out")
         changed = self._changed(raw, plain, job)
         return self.builder.cell(plain, job.choices, keys=keys, typed=typed, changed=changed)

@@ -76,6 +76,8 @@ def test_the_shells_word_is_the_name(name):
 def test_from_python_no_name_has_a_meaning(name, home):
     (cell,) = compose_cells(SMALL, out=name)
     assert cell.runner.out == name
+    (cell,) = compose_cells(SMALL, out=f"~{name}")
+    assert cell.runner.out == str(home / f"~{name}")
 
 
 def test_what_the_shells_word_may_mean():
