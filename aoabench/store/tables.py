@@ -95,6 +95,8 @@ def _before(index: Index, changed: Collection[str]) -> _Before | None:
         return None
     try:
         kept = {name: generation.read(name) for name in ("summary", "failures")}
+        for name in ("timing", "precision"):  # they are made from the index
+            generation.data(name)
         order = generation.read("cells", ["cell"])["cell"].to_pylist()
         counts = {cell: index.earlier[cell][1] for cell in order}
         rows = tidy.Earlier(generation.data("tidy"), counts)
