@@ -112,6 +112,17 @@ def test_a_record_that_a_killed_run_wrote_is_collected_by_the_next_run(out):
     assert set(tables.load(out)["cell"]) == {"a", "b", "c"}
 
 
+def test_a_precision_that_is_asked_of_stored_replications_is_shown(out):
+    precision = dict.fromkeys(tables.PRECISION, 1.0) | {"metric": "rmse_3d_m", "reached": True}
+    precision = {k: v for k, v in precision.items() if k not in tables.IDENTITY}
+    record = read_document(out / "cells" / "a.json")
+    record["estimators"]["ml"]["precision"] = precision | {"replications": 4}
+    write_document(out / "cells" / "a.json", record)
+    tables.collect(out, ["a"])
+    found = pd.read_parquet(out / "precision.parquet")
+    assert found[["cell", "estimator", "replications"]].to_numpy().tolist() == [["a", "ml", 4]]
+
+
 def test_a_part_that_was_computed_again_is_collected_again(out):
     def states():
         return dict(zip(*(index.read(out).column(name) for name in ("cell", "state"))))
