@@ -112,6 +112,17 @@ def test_a_record_that_a_killed_run_wrote_is_collected_by_the_next_run(out):
     assert set(tables.load(out)["cell"]) == {"a", "b", "c"}
 
 
+def test_a_precision_that_is_asked_of_stored_replications_is_shown(out):
+    precision = dict.fromkeys(tables.PRECISION, 1.0) | {"metric": "rmse_3d_m", "reached": True}
+    precision = {k: v for k, v in precision.items() if k not in tables.IDENTITY}
+    record = read_document(out / "cells" / "a.json")
+    record["estimators"]["ml"]["precision"] = precision | {"replications": 4}
+    write_document(out / "cells" / "a.json", record)
+    tables.collect(out, ["a"])
+    found = pd.read_parquet(out / "precision.parquet")
+    assert found[["cell", "estimator", "replications"]].to_numpy().tolist() == [["a", "ml", 4]]
+
+
 def test_a_part_that_was_computed_again_is_collected_again(out):
     def states():
         return dict(zip(*(index.read(out).column(name) for name in ("cell", "state"))))
@@ -172,6 +183,36 @@ def test_a_part_with_the_replications_of_another_is_refused(out):
     record["estimators"]["ls"]["key"] = "cls"
     write_document(out / "cells" / "b.json", record)
     refused(out, "parts/cls does not hold the replications 0 to 3", ask=tables.collect)
+
+
+def test_a_collect_that_is_killed_anywhere_leaves_a_whole_generation(source, tmp_path, monkeypatch):
+    """Killed before each file that it puts in place; the next run, of another cell, goes on."""
+    replace, number = os.replace, 0
+    done = False
+    while not done:
+        out = shutil.copytree(source, tmp_path / f"{number}")
+        made.cell(out, "c", ["ls"], sigma_deg=3.0)
+        calls = []
+
+        def dies(source, target, calls=calls, last=number):
+            calls.append(target)
+            if len(calls) > last:
+                raise KeyboardInterrupt
+            replace(source, target)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", dies)
+            try:
+                tables.collect(out, ["c"])
+                done = True
+            except KeyboardInterrupt:
+                whole = {"a", "b", "c"} if out / "tables.json" in calls[:-1] else {"a", "b"}
+                assert set(tables.load(out)["cell"]) == whole
+        tables.collect(out, ["b"])
+        assert set(tables.load(out)["cell"]) == {"a", "b", "c"}
+        assert set(frames(out)["summary"]["cell"]) == {"a", "b", "c"}
+        number += 1
+    assert number > 14
 
 
 def test_a_reader_that_is_overtaken_twice_reads_the_newest_generation(out, monkeypatch):
@@ -247,6 +288,13 @@ def test_a_table_that_cannot_be_used_is_named_and_collect_mends_it(how, name, ou
         tables.collect(mended, only)
         found = tables.load(mended)
         pd.testing.assert_frame_equal(found[found["cell"] != "c"], before)
+
+
+@pytest.mark.parametrize("how", ["deleted", "truncated"])
+def test_a_table_that_no_reader_takes_is_made_again_by_the_next_run(how, out):
+    HOW[how](manifest.current(out).file("timing"))
+    tables.collect(out, ["a"])
+    assert len(pd.read_parquet(out / "timing.parquet")) == 3
 
 
 @pytest.mark.parametrize("change", [
