@@ -67,7 +67,7 @@ def run(
         config_dir=config_dir,
         plugins=plugins,
         extra=estimators,
-        out=None if out is None else _literal(out),
+        out=None if out is None else os.fspath(out),
         say=faults.report if progress else None,
     )
     frame = load(runner.run(cells, progress, fresh).out)

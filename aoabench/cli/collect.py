@@ -31,13 +31,13 @@ def collect(run: Path, as_json: bool) -> None:
     from aoabench.store import folder, tables
     from aoabench.store.lock import locked
 
-    noted = folder.records(run)
-    if not noted:
+    cells = len(folder.record_files(run))
+    if not cells:
         raise UserError(f"{run}: no results here; allowed: the runner.out folder of a run")
     with locked(run, report):
         tables.collect(run)
     if as_json:
         paths = {name: run / f"{name}.parquet" for name in _TABLES}
-        print_json({"run": run, "cells": len(noted), "tables": paths})
+        print_json({"run": run, "cells": cells, "tables": paths})
         return
-    say(f"{len(noted)} cells: {run}/{{{','.join(_TABLES)}}}.parquet")
+    say(f"{cells} cells: {run}/{{{','.join(_TABLES)}}}.parquet")

@@ -8,6 +8,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
+from aoabench.config.messages import explained
 from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options
@@ -39,7 +40,7 @@ def parameters(name: str, config_dir: str | None = None) -> list[Parameter]:
     from hydra import compose
 
     group = group_of(name, config_dir)
-    with hydra_initialised(config_dir):
+    with hydra_initialised(config_dir), explained((), config_dir):
         chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
         whole = plain_nodes(compose("config", overrides=[chosen]), Speller())
     node = whole[group][name] if group in LISTS else whole[group]
@@ -82,7 +83,7 @@ def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str,
 def fitting_estimators(scenario: Scenario, noise: Noise) -> dict[str, list[str]]:
     """By group, the shipped filters and estimators that run in this scenario with this noise."""
     found: dict[str, list[str]] = {group: [] for group in LISTS}
-    for group, name in _that_fit(_composed(_every_estimator()), scenario, noise):
+    for group, name in _that_fit(_shipped_estimators(), scenario, noise):
         found[group].append(name)
     return found
 
@@ -119,6 +120,12 @@ def _shipped_nodes(group: str) -> dict[str, Any]:
     return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in composed.items()}
 
 
+@cache
+def _shipped_estimators() -> dict[str, Any]:
+    """The resolved config with all shipped filters and estimators."""
+    return _composed(_every_estimator())
+
+
 def _every_estimator(config_dir: str | None = None) -> list[str]:
     """The overrides that choose all filters and estimators."""
     return [f"{group}=[{','.join(options(group, config_dir))}]" for group in LISTS]
@@ -128,7 +135,7 @@ def _composed(overrides: Sequence[str], config_dir: str | None = None) -> dict[s
     """The resolved config with these overrides."""
     from hydra import compose
 
-    with hydra_initialised(config_dir):
+    with hydra_initialised(config_dir), explained((), config_dir):
         cfg = compose("config", overrides=list(overrides))
         return resolved(plain_nodes(cfg, Speller()))
 

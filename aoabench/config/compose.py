@@ -6,6 +6,7 @@ not used, because their `_target_`s would run code before our checks.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from typing import Any
 from aoabench.cell import Cell
 from aoabench.config.build import Builder
 from aoabench.config.composer import Composed, Composer
-from aoabench.config.guard import refuse_hydra
+from aoabench.config.guard import refuse_hydra, refuse_unreadable
 from aoabench.config.messages import explained
 from aoabench.config.nodes import Resolver, hydra_initialised, with_defaults
 from aoabench.config.overrides import Setting, jobs, read
@@ -23,7 +24,7 @@ from aoabench.config.presets import LISTS, options
 from aoabench.errors import UserError, did_you_mean, shorten
 from aoabench.maths.digest import flatten
 
-_SILENT_S = 1.0  # seconds of composing without a line of progress
+_SILENT_S = 0.3  # seconds of composing without a line of progress
 _EVERY_S = 10.0  # seconds between further lines
 
 
@@ -42,10 +43,11 @@ def compose_cells(
 
     Without `sweep` the list has one cell, and several values for a key are a mistake. `out` is the
     folder of the tables, literally, in place of runner.out. `say` gets a line of progress where
-    composing takes longer than a second. Raises UserError for every mistake.
+    composing takes longer than _SILENT_S. Raises UserError for every mistake.
     """
     named = [f"plugins=[{','.join(plugins)}]"] if plugins else []
     settings = _checked([*overrides, *named], sweep)
+    refuse_unreadable(config_dir, settings)
     allowed = parse_plugins(settings)
     with hydra_initialised(config_dir), explained(settings, config_dir):
         composer = Composer()
@@ -117,6 +119,7 @@ def show(
     from omegaconf import OmegaConf
 
     settings = _checked(overrides, sweep)
+    refuse_unreadable(config_dir, settings)
     with hydra_initialised(config_dir), explained(settings, config_dir):
         nodes = Composer().composed([s.line for s in settings if not s.is_sweep]).nodes
         whole = OmegaConf.create(with_defaults(nodes, Speller(parse_plugins(settings))))
@@ -158,7 +161,8 @@ class _Job:
         plain = self.resolver(raw)
         keys, typed = self.keys, self.typed
         if self.out is not None:
-            plain = {**plain, "runner": {**(plain.get("runner") or {}), "out": self.out}}
+            out = os.path.abspath(self.out) if self.out.startswith("~") else self.out
+            plain = {**plain, "runner": {**(plain.get("runner") or {}), "out": out}}
             keys, typed = (*keys, "runner.out"), (*typed, "runner.out")
         changed = self._changed(raw, plain, job)
         return self.builder.cell(plain, job.choices, keys=keys, typed=typed, changed=changed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -58,6 +58,21 @@ def refuse_foreign_hydra(config_dir: str | None) -> None:
         nodes = _checked(file, group)
         lists[place.with_suffix("").as_posix()] = named(PurePosixPath(place.with_suffix("")), nodes)
     refuse_endless(root, lists)
+
+
+def refuse_unreadable(config_dir: str | None, settings: Iterable[Setting]) -> None:
+    """Raise UserError for an override that chooses a file beside the config groups, which are not
+    checked, and that exceeds the bounds on files.
+    """
+    for setting in settings:
+        if config_dir and setting.key not in GROUPS and "." not in setting.key:
+            for name in setting.texts:
+                file = Path(config_dir, setting.key, f"{name.removesuffix('.yaml')}.yaml")
+                if file.is_file():
+                    try:
+                        load(file)
+                    except Unreadable as error:
+                        raise UserError(f"{file}: not a config: {error}") from None
 
 
 def _files(root: Path) -> Iterator[Path]:

@@ -25,7 +25,7 @@ def explained(settings: Sequence[Setting], config_dir: str | None = None) -> Ite
     except UserError:
         raise
     except RecursionError:
-        words = shorten(" ".join(shorten(s.word) for s in settings))
+        words = shorten(" ".join(shorten(s.word) for s in settings)) or "this config"
         raise UserError(
             f"{words}: cannot be composed: a value is nested too deeply, "
             "or a config contains itself"
@@ -76,7 +76,7 @@ def _not_composed(error: Exception, settings: Sequence[Setting]) -> str:
     for setting in settings:
         if setting.key in GROUPS and not isinstance(setting.value, str | list):
             return f"{shorten(setting.word)}: the name of a preset must be a string"
-    words = shorten(" ".join(shorten(s.word) for s in settings))
+    words = shorten(" ".join(shorten(s.word) for s in settings)) or "this config"
     return f"{words}: cannot be composed: {first_line(error)}"
 
 

@@ -13,7 +13,7 @@ from aoabench.config.guard import refuse_foreign_hydra
 from aoabench.config.messages import first_line
 from aoabench.config.plugins import Speller
 from aoabench.config.presets import LISTS
-from aoabench.config.resolvers import guarded
+from aoabench.config.resolvers import guard
 from aoabench.errors import UserError
 from aoabench.resources import shipped
 
@@ -46,8 +46,8 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
         )
     Hydra.create_main_hydra2(task_name="aoabench", config_search_path=path)
     try:
-        with guarded():
-            yield
+        guard()
+        yield
     finally:
         Singleton.set_state(before)
 

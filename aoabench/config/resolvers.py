@@ -4,8 +4,6 @@ share.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from aoabench.errors import UserError, shorten
@@ -14,22 +12,16 @@ VARIABLES = ("DASK_SCHEDULER_ADDRESS",)  # of the environment, which any config 
 _REFUSED = ("hydra", "now", "python_version")
 
 
-@contextmanager
-def guarded() -> Iterator[None]:
-    """Let OmegaConf's `oc.env` read VARIABLES only, and Hydra's own resolvers nothing."""
-    from omegaconf import OmegaConf
-    from omegaconf.basecontainer import BaseContainer
+def guard() -> None:
+    """Let OmegaConf's `oc.env` read VARIABLES only, and Hydra's own resolvers nothing.
 
-    before = dict(BaseContainer._resolvers)
+    This lasts until Hydra's state is put back: all resolvers are a part of it.
+    """
+    from omegaconf import OmegaConf
+
     OmegaConf.register_new_resolver("oc.env", _environment, replace=True)
     for name in _REFUSED:
         OmegaConf.register_new_resolver(name, _refusing(name), replace=True)
-    try:
-        yield
-    finally:
-        for name in ("oc.env", *_REFUSED):
-            del BaseContainer._resolvers[name]
-        BaseContainer._resolvers.update(before)
 
 
 def _environment(*given: Any) -> Any:

@@ -7,8 +7,9 @@ by Holm's method for all comparisons of the table.
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +22,14 @@ from aoabench.maths import intervals, statistics
 from aoabench.maths.statistics import Paired
 from aoabench.store import tables
 from aoabench.store.comparison import FAILURES, Comparison
-from aoabench.store.fixes import clusters
+from aoabench.store.fixes import clusters_of
+from aoabench.store.parts import intact_parts
 from aoabench.store.summary import CLUSTERED
 
 if TYPE_CHECKING:
     import pandas as pd
 
+Entries = Mapping[str, Mapping[str, Any]]  # of a cell's record, by estimator
 METRICS = (
     *(c for c, kind in REPLICATIONS.items() if kind == "double"),
     FAILURES,
@@ -74,13 +77,13 @@ def compare(
     """
     import pandas as pd
 
-    shown = tables.shown(run, "tidy", "cells", "summary")
+    shown = tables.shown(run, "tidy", "cells", "summary", "index")
+    entries = dict(zip(shown["index"]["cell"], map(json.loads, shown["index"]["estimators"])))
     frame = _replications(shown["tidy"], baseline, metric)
     fixed = {*REPLICATIONS, "seed", FAILURES}
     varied = [c for c in frame.columns if c not in fixed and frame[c].nunique(dropna=False) > 1]
     by_cell = dict(list(frame.groupby("cell")))
-    summary = shown["summary"]
-    shared = set(summary["cell"][summary["se_by"] == "position"])
+    shared = set(shown["summary"].query("se_by == 'position'")["cell"])
     rows: list[tuple[dict[str, Any], Comparison]] = []
     left_out: dict[str, str] = {}  # cells without a comparison, and why
     unprinted: list[float] = []  # p-values of the other pairs, where the data pick the baseline
@@ -95,7 +98,7 @@ def compare(
             )
             continue
         clustered = cell in shared and metric in CLUSTERED
-        found, others = _of_cell(Path(run), cell, mine, baseline, metric, clustered)
+        found, others = _of_cell(Path(run), entries[cell], mine, baseline, metric, clustered)
         first = {c: mine[c].iloc[0] for c in (*IDENTITY, *varied)}
         rows += [(first, comparison) for comparison in found]
         unprinted += others
@@ -128,7 +131,12 @@ def _replications(frame: pd.DataFrame, baseline: str | None, metric: str) -> pd.
 
 
 def _of_cell(
-    run: Path, cell: str, rows: pd.DataFrame, baseline: str | None, metric: str, clustered: bool
+    run: Path,
+    entries: Entries,
+    rows: pd.DataFrame,
+    baseline: str | None,
+    metric: str,
+    clustered: bool,
 ) -> tuple[list[Comparison], list[float]]:
     """The comparisons with the baseline, in the order of the means; if the data pick the baseline,
     also the p-values of the other pairs.
@@ -136,7 +144,7 @@ def _of_cell(
     wide = rows.pivot(index="replication", columns="estimator", values=metric)
     means = wide.mean().sort_values()  # those without any value come last
     base = str(means.index[0]) if baseline is None else baseline
-    pair_up = _pairing(run, cell, wide, metric, clustered)
+    pair_up = _pairing(run, entries, wide, metric, clustered)
     others = [name for name in means.index if name != base]
     found = [
         Comparison(metric, name, base, len(wide), means[name], means[base], *pair_up(name, base))
@@ -147,7 +155,7 @@ def _of_cell(
 
 
 def _pairing(
-    run: Path, cell: str, wide: pd.DataFrame, metric: str, clustered: bool
+    run: Path, entries: Entries, wide: pd.DataFrame, metric: str, clustered: bool
 ) -> Callable[[str, str], tuple[Paired, str]]:
     """A function that compares two columns of `wide`; it returns the result and its independent
     unit.
@@ -157,11 +165,12 @@ def _pairing(
     def influence(name: str, kept: np.ndarray) -> np.ndarray:
         key = name, kept.tobytes()
         if key not in known:
-            sums = clusters(run, cell, name, kept)
+            entry = entries[name]
+            sums = clusters_of(run, entry, intact_parts(run, entry["key"]), kept)
             found = None if sums is None else sums.influence(metric)
             if found is None:
                 raise RunError(
-                    f"{run}: the fixes of {name} in cell {cell} are missing; "
+                    f"{run}: the fixes of {name} in part {entry['key']} are missing; "
                     "run the same command again"
                 )
             known[key] = found

@@ -10,7 +10,8 @@ from aoabench.columns import REPLICATIONS
 from aoabench.errors import RunError, UserError
 from aoabench.store.files import read_table, schema
 from aoabench.store.folder import read_record, record_files
-from aoabench.store.manifest import torn
+from aoabench.store.index import table_of_records
+from aoabench.store.manifest import INDEX, torn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +26,8 @@ def shown(out: Path, names: Iterable[str]) -> dict[str, pd.DataFrame]:
         if record_files(out):
             raise torn(out / "cells.parquet", out, "or replications.parquet is missing")
         raise UserError(f"{out}: no results here; allowed: the runner.out folder of a finished run")
-    return {n: _tidy(out) if n == "tidy" else _frame(out / f"{n}.parquet", out) for n in names}
+    made = {"tidy": _tidy, INDEX: _index}
+    return {n: made[n](out) if n in made else _frame(out / f"{n}.parquet", out) for n in names}
 
 
 def _frame(path: Path, out: Path, columns: dict[str, str] | None = None) -> pd.DataFrame:
@@ -37,6 +39,13 @@ def _frame(path: Path, out: Path, columns: dict[str, str] | None = None) -> pd.D
         raise torn(path, out, "is missing") from None
     except (RunError, KeyError, TypeError, ValueError):
         raise torn(path, out) from None
+    return frame
+
+
+def _index(out: Path) -> pd.DataFrame:
+    """The index of the cells' records."""
+    found = ((read_record(out / "cells" / f"{cell}.json"), "") for cell in record_files(out))
+    frame: pd.DataFrame = table_of_records(found).to_pandas()
     return frame
 
 

@@ -121,9 +121,12 @@ def _stored(out: Path) -> tuple[Generation | None, pa.Table | None]:
     """The current generation and its index; None, None if they cannot be used."""
     try:
         before = current(out)
-        return (None, None) if before is None else (before, before.read(INDEX))
+        table = None if before is None else before.read(INDEX)
     except (RunError, FileNotFoundError, KeyError):
         return None, None
+    if table is None or not set(COLUMNS) <= set(table.column_names):
+        return None, None
+    return before, table
 
 
 def _status(file: os.stat_result) -> str:

@@ -23,6 +23,7 @@ from aoabench.store.documents import read_document, write_document
 from aoabench.store.files import (
     STALE_S,
     checksum_of,
+    file_checksum,
     rows_of,
     table_of,
     write_atomically,
@@ -148,7 +149,7 @@ def link(generation: Generation) -> None:
     """Put the generation's tables under their own names, where they are not yet."""
     for name in generation.tables:
         place = generation.out / f"{name}.parquet"
-        if name != INDEX and not _same(generation.file(name), place):
+        if name != INDEX and not _in_place(generation, name, place):
             write_atomically(place, lambda temporary, name=name: _link(generation, name, temporary))
 
 
@@ -159,12 +160,15 @@ def _link(generation: Generation, name: str, place: Path) -> None:
         shutil.copy2(generation.file(name), place)
 
 
-def _same(a: Path, b: Path) -> bool:
-    try:
-        one, other = a.stat(), b.stat()
-    except FileNotFoundError:
+def _in_place(generation: Generation, name: str, place: Path) -> bool:
+    """Whether a link, or a copy, of the table is in its place."""
+    file = generation.file(name)
+    if not place.is_file():
         return False
-    return (one.st_size, one.st_mtime_ns) == (other.st_size, other.st_mtime_ns)
+    if place.samefile(file):
+        return True
+    same_size = place.stat().st_size == file.stat().st_size
+    return same_size and file_checksum(place) == generation.tables[name].checksum
 
 
 def _sweep(generation: Generation, superseded: Iterable[str]) -> None:

@@ -36,13 +36,14 @@ class Reach:
     module that define no name.
 
     sources: digest of each module's source file. libraries: versions of the installed libraries
-    that the code uses. values: names that the code uses and no statement defines. unseen: reasons
+    that the code uses; missing: those that are not there. values: names that the code uses and no statement defines. unseen: reasons
     why this is not all; `reads` are those that a list of data files removes.
     """
 
     definitions: dict[Root, Definition] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)
     libraries: dict[str, str | None] = field(default_factory=dict)
+    missing: set[str] = field(default_factory=set)
     values: set[Root] = field(default_factory=set)
     unseen: list[str] = field(default_factory=list)
     reads: dict[str, None] = field(default_factory=dict)
@@ -51,7 +52,7 @@ class Reach:
     def digest(self) -> str:
         """Hash of the code, without the libraries."""
         found = [(m, n or "", d.digest) for (m, n), d in self.definitions.items()]
-        return digest(sorted(found))
+        return digest([sorted(found), sorted(self.missing)])
 
 
 def reach(roots: Iterable[Root], plugins: Iterable[str] = ()) -> Reach:
@@ -92,8 +93,8 @@ class _Search:
             return False
         for library in (top, *_COMPILED_WITH.get(top, ())):
             self.found.libraries |= {name: version(name) for name in _distributions(library)}
-        if spec is None:
-            self.found.libraries[top] = None  # not installed; one day it may be
+        if spec is None:  # one day it may be installed
+            self.found.missing.add(top)
         return True
 
     def _module(self, name: str) -> Module | None:

@@ -72,9 +72,10 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
         changed = set(cells)
     if changed or set(cells) != index.earlier.keys():
         _Collect(out, index, changed, before).publish()
+    elif index.fresh:
+        manifest.publish(out, _of_records(out, index), index.before)
     elif index.before is not None:
-        made = {manifest.INDEX: _write(out, manifest.INDEX, index.table)} if index.fresh else {}
-        manifest.publish(out, made, index.before) if made else manifest.link(index.before)
+        manifest.link(index.before)
 
 
 def _without_rows(out: Path, index: Index) -> set[str]:
@@ -95,6 +96,8 @@ def _before(index: Index, changed: Collection[str]) -> _Before | None:
         return None
     try:
         kept = {name: generation.read(name) for name in ("summary", "failures")}
+        for name in ("timing", "precision"):  # they are made from the index
+            generation.data(name)
         order = generation.read("cells", ["cell"])["cell"].to_pylist()
         counts = {cell: index.earlier[cell][1] for cell in order}
         rows = tidy.Earlier(generation.data("tidy"), counts)
@@ -138,8 +141,7 @@ class _Collect:
         )
         write_frame(files["summary"], self._summary_table(), columns=SUMMARY)
         files["failures"] = _write(self.out, "failures", self._failures_table())
-        files |= _timing_tables(self.out, self.index)
-        files[manifest.INDEX] = _write(self.out, manifest.INDEX, self.index.table)
+        files |= _of_records(self.out, self.index)
         manifest.publish(self.out, files, self.index.before)
 
     def _cell_table(self) -> pd.DataFrame:
@@ -230,12 +232,12 @@ def _write(out: Path, name: str, table: pa.Table) -> Path:
     return file
 
 
-def _timing_tables(out: Path, index: Index) -> dict[str, Path]:
-    """Write the timing table and the table of the precision reached, from the recorded cells."""
+def _of_records(out: Path, index: Index) -> dict[str, Path]:
+    """Write the tables that need the records alone: index, timing and the precision reached."""
     rows = sorted(
         zip(*(index.column(name) for name in (*IDENTITY[:4], "estimators"))), key=itemgetter(0)
     )
-    made = {}
+    made = {manifest.INDEX: _write(out, manifest.INDEX, index.table)}
     for kind, columns in (("timing", TIMING), ("precision", PRECISION)):
         found = [
             {**dict(zip(IDENTITY[:4], identity)), "estimator": name, **entry[kind]}
@@ -261,10 +263,7 @@ def note_timing(out: Path, timing: Mapping[str, Any]) -> None:
                 entry["timing"] = timing.get(entry["key"], entry.get("timing"))
             write_record(out, record)
     index = index_module.read(out).with_states_kept()
-    made = _timing_tables(out, index)
-    manifest.publish(
-        out, made | {manifest.INDEX: _write(out, manifest.INDEX, index.table)}, index.before
-    )
+    manifest.publish(out, _of_records(out, index), index.before)
 
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:

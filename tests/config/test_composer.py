@@ -1,6 +1,7 @@
 """Composed jobs equal Hydra's own composition, in values, types, choices and errors."""
 
 import copy
+import math
 
 import hydra
 import pytest
@@ -11,6 +12,7 @@ from aoabench.config.compose import compose_cells
 from aoabench.config.composer import Composer
 from aoabench.config.nodes import Resolver, hydra_initialised, resolved
 from aoabench.config.overrides import read
+from tests.scenarios.test_heard import Deaf
 
 OWN = {
     "experiment/mine.yaml": """# @package _global_
@@ -36,11 +38,21 @@ hydra: {sweeper: {params: {seed: "1,${reps}"}}}
 EKF = "filter=[ekf_vmf]"
 JOBS = [
     [],
-    [EKF],
     [EKF, "noise.sigma_deg=3", "seed=4"],
-    ["seed=4", EKF, "seed=5", "reps=2"],
-    ["noise.sigma_deg=1e1", "noise.kappa=null", "scenario.name='007'", "scenario.side_m=5.0"],
-    ["noise.a=1_000", "noise.b=on", "noise.c='on'", "noise.d=0x1F", "noise.e=.5", "noise.f=''"],
+    [
+        "noise.sigma_deg=1e1",
+        "noise.kappa=null",
+        "scenario.name='007'",
+        "scenario.side_m=5.0",
+        "seed=5",
+        "seed=6",
+        "noise.a=1_000",
+        "noise.b=on",
+        "noise.c='on'",
+        "noise.d=0x1F",
+        "noise.e=.5",
+        "noise.f=''",
+    ],
     ["scenario.anchors.position_m=[[1,2,3],[4,5,6.0]]", "noise.g=[]", "noise.h={}"],
     ["noise={_target_: x}", "until={metric: nees}", "scenario.anchors={facing: [[1,0,0]]}"],
     [EKF, "+filter={ekf_vmf: {engine: numpy}}", "filter.ekf_vmf.measurement.kappa=3"],
@@ -54,20 +66,15 @@ JOBS = [
     ["filter=[ukf_ae_adaptive]", "++filter.ukf_ae_adaptive.measurement.noise.sigma_deg=6"],
     ["filter=[ukf_ae_adaptive]", "filter.ukf_ae_adaptive.measurement.noise=${scenario}"],
     ["experiment=nurminen2018_fig4", "filter.pf_vmf.particles=9", "noise.sigma_deg=2"],
-    ["experiment=nurminen2018_fig4", "filter=[pf_vmf]", "reps=3"],
     ["~experiment", "+estimator=[ls]", "runner=slurm", "runner.n_jobs=2"],
     ["+noise@filter.other=ae_flip", "filter.other.sigma_deg=3"],
-    ["scenario=indoor_map", "noise=ofdm_crlb", "filter=[ekf_aoa]", "scenario.nearest=2"],
 ]
 REFUSED = [
     ["a=1"],
-    ["noise={nope: 3}"],
     ["filter={ekf_vmf: {engine: numpy}}"],
-    ["runner.jobs=1"],
     ["+reps=3"],
     ["+noise._target_=3"],
     ["~nope"],
-    ["~noise.nope"],
     ["~seed=5"],
     ["seed.x=1", "seed.x.y=2"],
     ["x@y=1"],
@@ -77,11 +84,9 @@ REFUSED = [
     ["~noise=nope"],
     ["++noise=vmf"],
     ["+noise=vmf"],
-    ["noise=3"],
     ["scenario.anchors=[1]"],
     ["scenario.anchors.position_m.x=1"],
     ["noise.sigma_deg=1,2"],
-    ["noise=vmf,ae_flip"],
 ]
 WITH_OWN = [
     ["experiment=mine"],
@@ -217,14 +222,31 @@ def test_positions_are_looked_at_once_unless_they_depend_on_the_seed(monkeypatch
     compose_cells([*walls, "seed=range(0,5)", "noise.sigma_deg=2,3"])
     assert looked == [0]
     looked.clear()
-    compose_cells(["scenario=bs_grid", "estimator=[ls]", "seed=range(0,3)", "noise.sigma_deg=2,3"])
-    assert sorted(set(looked)) == sorted(looked), "a seed once"
+    builder, scattered = build.Builder(), Deaf("own", 4, spread_m=1)
+    for seed in (1, 2, 1, 2):
+        builder._heard(scattered, seed)
+    assert looked == [1, 2]
+
+
+def test_what_differs_from_the_presets_whoever_sets_it(tmp_path):
+    """An experiment, or a file of one's own that sets keys at the top."""
+    words = ["experiment=nurminen2018_particles", "filter=[pf_vmf,pf_ae_nominal]", "noise=vmf"]
+    cell = compose_cells(words)[0]
+    assert cell.changed["filter.pf_ae_nominal.particles"] == 100
+    folder = tmp_path / "runner"
+    folder.mkdir()
+    (folder / "mine.yaml").write_text(
+        "# @package _global_\nrunner: {out: o}\nfilter: {ekf_vmf: {engine: numpy}}\n"
+    )
+    (cell,) = compose_cells([EKF, "runner=mine"], config_dir=str(tmp_path))
+    assert cell.changed == {"filter.ekf_vmf.engine": "numpy"}
 
 
 def test_a_long_sweep_says_how_far_it_is_composed(monkeypatch):
     said = []
+    monkeypatch.setattr(compose, "_SILENT_S", math.inf)
     compose_cells([EKF, "seed=1,2,3"], say=said.append)
-    assert said == [], "a short one says nothing"
+    assert said == [], "not so long ago"
     monkeypatch.setattr(compose, "_SILENT_S", 0)
     compose_cells([EKF, "seed=1,2,3"], say=said.append)
     assert said == ["composing 3 cells: 0 done ..."]

@@ -22,8 +22,8 @@ VMF = "_target_: aoabench.noise.angular.VonMisesFisher\n"
 PARAMS = EXPERIMENT + "hydra:\n  sweeper:\n    params:\n"
 
 
-def bomb(indent="", opened="[", closed="]", item="*{0}", levels=6):
-    """Nine aliases of nine aliases of ...: 9^6 values in some hundred bytes."""
+def bomb(indent="", opened="[", closed="]", item="*{0}", levels=5):
+    """Nine aliases of nine aliases of ...: 9^5 values in some hundred bytes."""
     lines = [f"{indent}a0: &a0 {{x: 1}}"]
     for i in range(1, levels + 1):
         inside = ", ".join(item.format(f"a{i - 1}", j) for j in range(9))
@@ -177,6 +177,14 @@ def test_names_and_descriptions_that_a_terminal_would_obey(tmp_path, capsys):
     assert "\x1b" not in capsys.readouterr().err
 
 
+def test_a_preset_that_cannot_be_composed_cannot_be_listed(tmp_path, capsys):
+    folder = write(tmp_path, {"noise/x.yaml": "defaults: [nope]\n" + VMF})
+    with pytest.raises(SystemExit) as stop:
+        main(["list", "x", "--config-dir", folder])
+    assert stop.value.code == 2
+    assert "noise='nope': unknown preset; allowed: ae_flip" in capsys.readouterr().err
+
+
 def test_what_hydra_reads_is_read(tmp_path):
     """Numbers and words as OmegaConf's loader takes them, aliases, and both bounds themselves."""
     file = tmp_path / "x.yaml"
@@ -199,6 +207,15 @@ def test_what_hydra_reads_is_read(tmp_path):
     file.write_text("a: &a [" + ",".join("1" * 990) + "]\nb: [" + ",".join(["*a"] * 10) + "]\n")
     with pytest.raises(Unreadable, match=f"more than {MOST_NODES} values"):
         load(file)
+
+
+def test_a_file_beside_the_groups_is_read_within_the_bounds_too(tmp_path):
+    folder = write(tmp_path, {"site/a.yaml": bomb(), "site/b.yaml": "c: 1\n"})
+    for word in ("+site=a", "+site=b,a", "+site=[b,a]"):
+        with pytest.raises(UserError, match=r"site/a\.yaml: not a config: .*aliases counted"):
+            compose_cells(["filter=[ekf_vmf]", word], config_dir=folder)
+    with pytest.raises(UserError, match="site: unknown key"):
+        compose_cells(["filter=[ekf_vmf]", "+site=b"], config_dir=folder)
 
 
 def test_links_to_folders_above_are_followed_once(tmp_path):

@@ -10,13 +10,21 @@ import pytest
 import aoabench
 from aoabench.cli.main import main
 from aoabench.config.compose import compose_cells
+from aoabench.config.overrides import read
 from aoabench.errors import UserError
 from aoabench.store import tables
 from aoabench.store.claim import MARKER, claim
 
 SMALL = ["estimator=[ls]", "estimator.ls.engine=numpy", "scenario.steps=2", "reps=2", "runner.n_jobs=1"]  # fmt: skip
 
-RUN = [" lead, trail ", "ünï 日本#=", "it's \"x\"", "[x]*?{b}(c", "a:b", "~nobody", "2026", "a\nb\t\x1b", "$H%s{0}\\"]  # fmt: skip
+RUN = [
+    " lead, trail ",
+    'ünï 日本#=it\'s "x"',
+    "[x]*?{b}(c\n\t\x1b$H%s{0}\\",
+    "a:b",
+    "~nobody",
+    "2026",
+]
 COMPOSED = [*RUN, " lead", "trail ", " ", "ünï", "a,b", "x=y", "a#b", "it's", "[x]*?", "[x]", "{b}", "{b: 1}", "(c", "s3:", "1e5",
             "null", "true", "\\", "a\\", "'", "-q", "x" * 255, "a/./b", "..x", "+x", "a+b@c&d;e|f<g>h^i`j!",
             "range(1,3)", "choice(a,b)", "glob(*)", "file://x"]  # fmt: skip
@@ -57,17 +65,19 @@ def test_the_command_line_does_the_same(name, home, capsys):
         assert Path(found["out"]).samefile(home / name)
 
 
-@pytest.mark.parametrize("name", [name for name in COMPOSED if not name.startswith("~")], ids=ascii)
+@pytest.mark.parametrize("name", COMPOSED, ids=ascii)
 def test_the_shells_word_is_the_name(name):
-    for word in (f"runner.out={name}", f"++runner.out={name}"):
-        (cell,) = compose_cells([*SMALL, word], sweep=False)
-        assert cell.runner.out == name
+    for setting in read([f"runner.out={name}", f"++runner.out={name}"], sweep=False):
+        assert setting.value == name
+        assert not setting.is_sweep
 
 
 @pytest.mark.parametrize("name", ["${x}", "${oc.env:HOME}", "'q'", '"q"', "a\\$\\{b\\}"])
 def test_from_python_no_name_has_a_meaning(name, home):
     (cell,) = compose_cells(SMALL, out=name)
     assert cell.runner.out == name
+    (cell,) = compose_cells(SMALL, out=f"~{name}")
+    assert cell.runner.out == str(home / f"~{name}")
 
 
 def test_what_the_shells_word_may_mean():

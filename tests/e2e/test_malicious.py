@@ -55,6 +55,13 @@ CORPUS = {
     "a root config": ("config.yaml", "hydra: {callbacks: {x: " + HIT + "}}\n", ["filter=[ekf_vmf]"]),
     "callback": ("experiment/x.yaml", EXPERIMENT + "hydra: {callbacks: {x: " + HIT + "}}\n", ["experiment=x"]),
     "launcher": ("experiment/x.yaml", EXPERIMENT + "hydra: {launcher: " + HIT + "}\n", ["experiment=x", "-m"]),
+    "a dotted key": ("experiment/x.yaml", EXPERIMENT + "hydra.callbacks.x: " + HIT + "\n", ["experiment=x"]),
+    "a header after a blank": ("noise/x.yaml", " # @package hydra.callbacks\nx: " + HIT + "\n", ["noise=x"]),
+    "logging by a sweep": (
+        "experiment/x.yaml",
+        EXPERIMENT + "hydra: {sweeper: {params: {+hydra.job_logging.handlers: '{h: {class: evil.H}}'}}}\n",
+        ["experiment=x", "-m"],
+    ),
     "sweeper": ("experiment/x.yaml", EXPERIMENT + "hydra: {sweeper: " + HIT + "}\n", ["experiment=x", "-m"]),
     "search path": ("experiment/x.yaml", EXPERIMENT + "hydra: {searchpath: ['pkg://evil', 'file:///tmp']}\n", ["experiment=x"]),
     "logging": ("experiment/x.yaml", EXPERIMENT + "hydra: {job_logging: {handlers: {h: {class: evil.H}}}}\n", ["experiment=x"]),

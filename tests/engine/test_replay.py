@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,8 @@ from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.engine.replay import replay
 from aoabench.engine.replay_files import write
+from aoabench.errors import RunError
+from aoabench.store.documents import read_document, write_document
 
 TRACK = [
     "noise=ae_flip",
@@ -131,6 +134,21 @@ def test_what_is_not_in_the_run_is_the_users_mistake(track):
     ):
         with pytest.raises(aoabench.UserError, match=match):
             replay(track, *given)
+
+
+def test_a_replay_of_a_tampered_folder_is_refused_in_one_line(track, tmp_path):
+    shutil.copytree(track, tmp_path / "run")
+    (record,) = (tmp_path / "run" / "cells").iterdir()
+    content = read_document(record)
+    name, entry = next(iter(content["estimators"].items()))
+    entry["reps"] += 10
+    text = record.read_text()
+    record.write_text(text.replace(f'"reps": {entry["reps"] - 10}', f'"reps": {entry["reps"]}'))
+    with pytest.raises(RunError, match=r"\.json is torn or altered; delete it and run"):
+        replay(tmp_path / "run", 1, name)
+    write_document(record, content)
+    with pytest.raises(RunError, match=rf"replication {entry['reps'] - 1} of part .* is missing"):
+        replay(tmp_path / "run", entry["reps"] - 1, name)
 
 
 def test_a_replay_of_a_failure_tells_what_it_was(tmp_path, monkeypatch):

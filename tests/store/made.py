@@ -38,13 +38,14 @@ def part(out, key, start, stop, fixes=0, machine=None):
     write_part(out, key, start, stop, block(start, stop, fixes), ORIGIN, machine)
 
 
-def cell(out, name, estimators=("ls", "ml"), **parameters):
+def cell(out, name, estimators=("ls", "ml"), keys="", **parameters):
     """The record and the parts of a cell with these estimators and 4 replications of 2 fixes, in two
-    parts of the first estimator; `parameters` are those of its noise.
+    parts of the first estimator; `parameters` are those of its noise,
+    and `keys` begins its part keys.
     """
     entries = {}
     for estimator in estimators:
-        key = f"{name}{estimator}"
+        key = f"{keys}{name}{estimator}"
         two = estimator == estimators[0]
         for start, stop in [(0, 2), (2, 4)] if two else [(0, 4)]:
             part(out, key, start, stop, fixes=2)

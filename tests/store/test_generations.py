@@ -88,7 +88,7 @@ def test_tables_of_changed_cells_alone_equal_those_of_all(out, monkeypatch):
         ("d", {"sigma_deg": 0.5}),
         ("e", {"sigma_deg": 5.0, "k": 1}),
     ]
-    steps += [("a", {"sigma_deg": 10, "estimators": ["ls"]}), ("b", {"estimators": ["ls", "nn"]})]
+    steps += [("a", {"sigma_deg": 30, "estimators": ["ls"]}), ("b", {"estimators": ["ls", "nn"]})]
     for name, given in steps:
         made.cell(out, name, **given)
         tables.collect(out, [name])
@@ -110,6 +110,17 @@ def test_a_record_that_a_killed_run_wrote_is_collected_by_the_next_run(out):
     made.cell(out, "c", ["ls"])
     tables.collect(out, ["a"])
     assert set(tables.load(out)["cell"]) == {"a", "b", "c"}
+
+
+def test_a_precision_that_is_asked_of_stored_replications_is_shown(out):
+    precision = dict.fromkeys(tables.PRECISION, 1.0) | {"metric": "rmse_3d_m", "reached": True}
+    precision = {k: v for k, v in precision.items() if k not in tables.IDENTITY}
+    record = read_document(out / "cells" / "a.json")
+    record["estimators"]["ml"]["precision"] = precision | {"replications": 4}
+    write_document(out / "cells" / "a.json", record)
+    tables.collect(out, ["a"])
+    found = pd.read_parquet(out / "precision.parquet")
+    assert found[["cell", "estimator", "replications"]].to_numpy().tolist() == [["a", "ml", 4]]
 
 
 def test_a_part_that_was_computed_again_is_collected_again(out):
@@ -152,6 +163,58 @@ def test_readers_see_the_last_whole_generation_while_tables_are_made(out, monkey
     assert (seen.count(2) > 10, seen.count(3) > 10) == (True, True)
 
 
+def test_compare_takes_all_it_needs_from_one_generation(out, monkeypatch):
+    """Between its tables and the fixes of its intervals, a run changes the cell."""
+    expected, shown = aoabench.compare(out), tables.shown
+
+    def overtaken(out, *names):
+        found = shown(out, *names)
+        made.cell(out, "a", ["ml", "ls"], sigma_deg=10, keys="new")
+        tables.collect(out, ["a"])
+        return found
+
+    monkeypatch.setattr(tables, "shown", overtaken)
+    pd.testing.assert_frame_equal(aoabench.compare(out), expected)
+
+
+def test_a_part_with_the_replications_of_another_is_refused(out):
+    made.write_part(out, "cls", 0, 4, made.block(4, 8), made.ORIGIN)
+    record = read_document(out / "cells" / "b.json")
+    record["estimators"]["ls"]["key"] = "cls"
+    write_document(out / "cells" / "b.json", record)
+    refused(out, "parts/cls does not hold the replications 0 to 3", ask=tables.collect)
+
+
+def test_a_collect_that_is_killed_anywhere_leaves_a_whole_generation(source, tmp_path, monkeypatch):
+    """Killed before each file that it puts in place; the next run, of another cell, goes on."""
+    replace, number = os.replace, 0
+    done = False
+    while not done:
+        out = shutil.copytree(source, tmp_path / f"{number}")
+        made.cell(out, "c", ["ls"], sigma_deg=3.0)
+        calls = []
+
+        def dies(source, target, calls=calls, last=number):
+            calls.append(target)
+            if len(calls) > last:
+                raise KeyboardInterrupt
+            replace(source, target)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", dies)
+            try:
+                tables.collect(out, ["c"])
+                done = True
+            except KeyboardInterrupt:
+                whole = {"a", "b", "c"} if out / "tables.json" in calls[:-1] else {"a", "b"}
+                assert set(tables.load(out)["cell"]) == whole
+        tables.collect(out, ["b"])
+        assert set(tables.load(out)["cell"]) == {"a", "b", "c"}
+        assert set(frames(out)["summary"]["cell"]) == {"a", "b", "c"}
+        number += 1
+    assert number > 14
+
+
 def test_a_reader_that_is_overtaken_twice_reads_the_newest_generation(out, monkeypatch):
     stale = [manifest.current(out)]
     for _ in range(3):
@@ -165,7 +228,12 @@ def test_a_reader_that_is_overtaken_twice_reads_the_newest_generation(out, monke
 def test_superseded_tables_are_deleted(out):
     for _ in range(4):
         tables.collect(out)
-    assert len(list((out / ".tables").iterdir())) == 2 * 7, "this generation and the one before"
+        for file in (out / ".tables").iterdir():
+            os.utime(file, times=(1e9, 1e9))
+    (out / ".tables" / "tidy.0123.parquet").touch()
+    tables.collect(out)
+    left = {file.name for file in (out / ".tables").iterdir()}
+    assert len(left) == 2 * 7 + 1, "this generation, the one before, and a file being written"
 
 
 def test_tables_are_copies_where_the_file_system_has_no_links(out, monkeypatch):
@@ -201,13 +269,14 @@ HOW = {
 }
 
 
-@pytest.mark.parametrize("how", HOW)
-@pytest.mark.parametrize("name", ["tidy", "cells", "summary", "index", "tables.json"])
+@pytest.mark.parametrize(("how", "name"), [
+    *((how, "tidy") for how in HOW), ("fewer rows", "summary"), ("foreign", "cells"),
+    ("fewer rows", "index"), ("deleted", "index"), ("deleted", "summary"),
+    ("truncated", "tables.json"), ("emptied", "tables.json"), ("deleted", "tables.json"),
+])  # fmt: skip
 def test_a_table_that_cannot_be_used_is_named_and_collect_mends_it(how, name, out):
     before = tables.load(out)
     file = out / name if "." in name else manifest.current(out).file(name)
-    if name == "tables.json" and how in ("foreign", "fewer rows"):
-        pytest.skip("not a table")
     HOW[how](file)
     line = rf"{file.name} is (torn or altered|missing); .*: aoabench collect {out}$"
     asked = {"tidy": [tables.load], "index": [lambda out: clusters(out, "a", "ls")]}
@@ -219,6 +288,13 @@ def test_a_table_that_cannot_be_used_is_named_and_collect_mends_it(how, name, ou
         tables.collect(mended, only)
         found = tables.load(mended)
         pd.testing.assert_frame_equal(found[found["cell"] != "c"], before)
+
+
+@pytest.mark.parametrize("how", ["deleted", "truncated"])
+def test_a_table_that_no_reader_takes_is_made_again_by_the_next_run(how, out):
+    HOW[how](manifest.current(out).file("timing"))
+    tables.collect(out, ["a"])
+    assert len(pd.read_parquet(out / "timing.parquet")) == 3
 
 
 @pytest.mark.parametrize("change", [
@@ -256,6 +332,7 @@ def test_a_cell_is_left_out_once_its_record_and_the_manifest_are_deleted(out):
     lambda r: r["estimators"]["ls"].update(reps=True),
     lambda r: r["estimators"]["ls"].update(reps=2.0),
     lambda r: r["estimators"]["ls"].update(key="../x"),
+    lambda r: r.update(cell="b"),
     lambda r: r["estimators"]["ls"].pop("steps"),
     lambda r: r.update(estimators=[]),
     lambda r: r.update(scenario=None),

@@ -153,11 +153,10 @@ def test_a_part_of_an_earlier_version_with_too_few_rows_is_refused(stored):
 
 
 def test_no_byte_of_a_checksum_file_is_unguarded(stored):
-    """Each byte with its lowest and with another bit flipped: refused, or the same part."""
+    """Each byte with one bit flipped, each bit in turn: refused, or the same part."""
     out, file = stored
     data = file.read_bytes()
     (part,) = intact_parts(out, "key")
     for i in range(len(data)):
-        for bit in (1, 1 << (i % 7 + 1)):
-            file.write_bytes(data[:i] + bytes([data[i] ^ bit]) + data[i + 1 :])
-            assert intact_parts(out, "key") in ([], [part])
+        file.write_bytes(data[:i] + bytes([data[i] ^ 1 << i % 8]) + data[i + 1 :])
+        assert intact_parts(out, "key") in ([], [part])
