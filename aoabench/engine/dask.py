@@ -7,6 +7,7 @@ import logging
 import os
 import platform
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from aoabench.cell import RunnerOptions
+from aoabench.engine.faults import report
 from aoabench.engine.machines import check_same
 from aoabench.engine.tasks import Loss, Task, kind_of, numbered
 from aoabench.errors import BadValue, RunError, UserError
@@ -25,6 +27,9 @@ _TIMEOUT_S = 90  # for a first worker to connect, and for written parts to becom
 
 
 _CONNECT_S = 10  # for a scheduler to answer
+
+
+_LOOK_S = 5  # between two looks at the number of workers
 
 
 # distributed's names of the options
@@ -72,7 +77,32 @@ def cluster(options: RunnerOptions, tasks: Sequence[Task]) -> Iterator[Any]:
             client.wait_for_workers(1, timeout=_TIMEOUT_S)
         except TimeoutError:
             raise RunError(f"{key}: no worker has connected within {_TIMEOUT_S} s") from None
-        yield _backend()(client=client)
+        with _watched(client):
+            yield _backend()(client=client)
+
+
+@contextmanager
+def _watched(client: Any) -> Iterator[None]:
+    """Report meanwhile whenever the last worker of the cluster has gone."""
+    ended = threading.Event()
+    threading.Thread(target=_watch, args=(client, ended), daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+def _watch(client: Any, ended: threading.Event) -> None:
+    """Look at the number of workers every _LOOK_S until `ended` is set; report when it gets 0."""
+    waiting = False
+    while not ended.wait(_LOOK_S):
+        try:
+            alone = not client.nthreads()
+        except BaseException:  # the connection is lost or closed, which the run itself reports
+            return
+        if alone and not waiting and not ended.is_set():
+            report("no worker is connected to the cluster any more: waiting for one ...")
+        waiting = alone
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
 
@@ -223,6 +224,19 @@ def test_a_run_on_an_encrypted_cluster(secured, tmp_path):
     far = aoabench.run(*SMALL, *address, *tls_words(own), out=tmp_path / "far")
     near = aoabench.run(*SMALL[1:], "runner.n_jobs=1", out=tmp_path / "near")
     pd.testing.assert_frame_equal(far, near, check_exact=True)
+
+
+def test_a_cluster_without_workers_is_reported_each_time(monkeypatch, capsys):
+    monkeypatch.setattr(dask_module, "_LOOK_S", 0)
+    looks = iter([{"a": 1}, {}, {}, {"b": 1}, {}])
+
+    class Client:
+        def nthreads(self):
+            return next(looks)  # at last StopIteration, as of a lost connection
+
+    dask_module._watch(Client(), threading.Event())
+    line = "aoabench: no worker is connected to the cluster any more: waiting for one ...\n"
+    assert capsys.readouterr().err == 2 * line
 
 
 def test_dasks_own_remarks_are_kept_off_the_terminal():
