@@ -36,8 +36,9 @@ class Reach:
     module that define no name.
 
     sources: digest of each module's source file. libraries: versions of the installed libraries
-    that the code uses; missing: those that are not there. values: names that the code uses and no statement defines. unseen: reasons
-    why this is not all; `reads` are those that a list of data files removes.
+    that the code uses; missing: those that are not installed. values: names that the code uses and
+    no statement defines. unseen: reasons why this is not all; `reads` are those that a list of data
+    files removes.
     """
 
     definitions: dict[Root, Definition] = field(default_factory=dict)
