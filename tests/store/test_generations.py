@@ -358,6 +358,7 @@ def test_a_folder_of_an_earlier_version_is_read_and_collected(old, source):
     tables.collect(old, [])
     pd.testing.assert_frame_equal(tables.load(old), expected)
     assert manifest.current(old) is not None
+    assert read_document(old / "cells" / "a.json") == read_document(source / "cells" / "a.json")
 
 
 def deleted_rows(out):
