@@ -17,7 +17,7 @@ from aoabench.columns import SCHEMA
 from aoabench.errors import RunError
 from aoabench.maths.digest import digest, flatten
 from aoabench.store.files import checksum_of
-from aoabench.store.folder import read_record, record_files
+from aoabench.store.folder import read_record, record_files, write_record
 from aoabench.store.manifest import INDEX, Entry, Generation, current, torn
 from aoabench.store.parts import checksum_files
 
@@ -84,7 +84,8 @@ class Index:
 
 def read(out: Path, own: Collection[str] = (), anew: bool = False) -> Index:
     """The index of the folder, brought up to date with the records; with `anew`, made from the
-    records alone. The caller holds the folder's lock.
+    records alone. Records of an earlier version get their checksum. The caller holds the folder's
+    lock.
 
     Raises RunError if a record is torn or altered, or if the record of a cell is missing that the
     tables show, unless it is one of the cells `own`, whose records are going to be written.
@@ -105,9 +106,7 @@ def read(out: Path, own: Collection[str] = (), anew: bool = False) -> Index:
             f"of that cell again, or delete {out}/tables.json to leave the cell out"
         )
     fresh = [cell for cell, status in files.items() if anew or known.get(cell) != status]
-    rows = table_of_records(
-        (read_record(out / "cells" / f"{cell}.json"), files[cell]) for cell in fresh
-    )
+    rows = table_of_records(_signed(out, cell) for cell in fresh)
     if table is not None and not anew:
         keep = [cell in files and known[cell] == files[cell] for cell in known]
         rows = pa.concat_tables(
@@ -127,6 +126,17 @@ def _stored(out: Path) -> tuple[Generation | None, pa.Table | None]:
     if table is None or not set(COLUMNS) <= set(table.column_names):
         return None, None
     return before, table
+
+
+def _signed(out: Path, cell: str) -> tuple[dict[str, Any], str]:
+    """The record of a cell and the status of its file; a record of an earlier version is written
+    again, with a checksum.
+    """
+    path = out / "cells" / f"{cell}.json"
+    record = read_record(path)
+    if "format" not in record:
+        write_record(out, record)
+    return record, _status(path.stat())
 
 
 def _status(file: os.stat_result) -> str:

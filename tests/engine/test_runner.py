@@ -546,11 +546,12 @@ def test_a_lost_table_is_made_again_and_a_torn_record_is_reported_and_mended(tmp
     assert len(before) == 15
     record = tmp_path / "cells" / f"{lost.stem}.json"
     record.write_text('{"cell": ')
-    for words in (both, other):
+    for words in (both, (*other, "reps=9")):
         with pytest.raises(
             aoabench.RunError, match=rf"{lost.stem}\.json is torn or altered; delete it"
         ):
             aoabench.run(*words, out=tmp_path)
+    assert not list((tmp_path / "parts").rglob("*-000000009.json")), "nothing was computed"
     pd.testing.assert_frame_equal(aoabench.load(tmp_path), before)
     record.unlink()
     with pytest.raises(

@@ -168,6 +168,14 @@ def test_a_table_of_another_version_is_one_line_and_not_computed(results):
     assert html.count("Not computed (the table is of another version).") == 2
 
 
+def test_a_table_with_a_flipped_bit_is_not_read(results):
+    path = results / "tables" / "le2021_fig7.parquet"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 8] ^= 1  # in a page
+    path.write_bytes(data)
+    assert reading.read(*find("le2021_fig7"), results).problem == reading.OTHER_VERSION
+
+
 def test_a_deleted_table_takes_its_numbers_and_figure_from_the_page(results):
     reproduce.draw(["nurminen2018"], results, lambda _: None)
     html = (results / "report" / "index.html").read_text()
