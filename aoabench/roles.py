@@ -211,11 +211,14 @@ class Estimator(CheckedParams):
     """Positions from measurements: the common role of recursive filters and snapshot estimators.
 
     tile: exact number of replications per call; None: the largest power of two up to 128 for which
-    an array (R, T, B) has at most 2^20 elements. An estimator that needs `truth` is called with the
+    an array (R, T, B) has at most 2^20 elements. by_replication: whether the estimates of a
+    replication depend on its own data and the size of the tile alone; then a run simulates no
+    other replications than it stores. An estimator that needs `truth` is called with the
     true states (R, T, n) as a fourth argument; such an estimator cannot run on a device.
     """
 
     tile: int | None = None
+    by_replication: bool = False
 
     @property
     def needs(self) -> frozenset[str]:

@@ -63,12 +63,14 @@ def run_block(
     makers |= {"steps": _details} if steps else {}
     makers |= {"fixes": _fixes} if scenario.shares_positions else {}
     blocks: dict[str, dict[str, Rows]] = {}
+    wanted = range(start, stop)
     with threadpool_limits(1):
-        draws = Draws(scenario, noise, seed)
         sizes = {name: tile_of(estimator, scenario) for name, estimator in estimators.items()}
         for size in sorted(set(sizes.values())):
             same = {name: e for name, e in estimators.items() if sizes[name] == size}
-            blocks |= _same_tiles(draws, same, size, range(start, stop), makers)
+            alone = all(e.by_replication for e in same.values())
+            draws = Draws(scenario, noise, seed, wanted if alone else None)
+            blocks |= _same_tiles(draws, same, size, wanted, makers)
     return {name: blocks[name] for name in estimators}
 
 

@@ -53,10 +53,16 @@ def simulate(
 
 
 class Draws:
-    """Simulated replications of one cell; the last tile is cached for the next estimator."""
+    """Simulated replications of one cell; the last tile is cached for the next estimator.
 
-    def __init__(self, scenario: Scenario, noise: Noise, seed: int) -> None:
-        self.scenario, self.noise, self.seed = scenario, noise, seed
+    With `only`, no other replications are simulated, apart from a second one if a tile has one of
+    them: the first of these in a tile fills the places of the others.
+    """
+
+    def __init__(
+        self, scenario: Scenario, noise: Noise, seed: int, only: range | None = None
+    ) -> None:
+        self.scenario, self.noise, self.seed, self.only = scenario, noise, seed, only
         self._last: tuple[tuple[int, int], tuple[np.ndarray, Batch]] | None = None
 
     def tile(self, start: int, size: int) -> tuple[np.ndarray, Batch]:
@@ -67,6 +73,29 @@ class Draws:
 
     def _simulated(self, start: int, size: int) -> tuple[np.ndarray, Batch]:
         numbers = range(start, start + size)
+        wanted = self._wanted(numbers)
+        truth, batch = self._drawn(wanted)
+        if len(wanted) == size:
+            return truth, batch
+        at = np.array([wanted.index(n if n in wanted else wanted[0]) for n in numbers])
+        truth = truth[at]
+        truth.setflags(write=False)
+        return truth, placed(batch, at)
+
+    def _wanted(self, numbers: range) -> range:
+        """The replications of a tile to simulate. Two at least, if the tile has two: arrays that
+        differ between replications are recognised by that.
+        """
+        if self.only is None:
+            return numbers
+        start, stop = max(numbers[0], self.only.start), min(numbers[-1] + 1, self.only.stop)
+        if stop - start < 2 <= len(numbers):
+            start = min(start, numbers[-1] - 1)
+            stop = start + 2
+        return range(start, stop)
+
+    def _drawn(self, numbers: range) -> tuple[np.ndarray, Batch]:
+        """Truth (R, T, n) and batch of the replications `numbers`."""
         drawn = [simulate(self.scenario, self.noise, self.seed, r) for r in numbers]
         measured = {
             f.name: None

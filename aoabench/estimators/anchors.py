@@ -47,6 +47,7 @@ class _OnPlane(Estimator):
     horizon_deg: float = horizon_param()
     clip: bool = clip_param()
     tile = 8
+    by_replication = True
 
     @property
     def needs(self) -> frozenset[str]:

@@ -33,6 +33,7 @@ class WeightedCentroid(Estimator):
         "whether (12) runs as printed: the array's orientation stays in the measured azimuth [U5]",
     )
     tile = 8
+    by_replication = True
 
     @property
     def needs(self) -> frozenset[str]:

@@ -81,6 +81,7 @@ class Discrepancy(Compiled, Estimator):
     height_m: float | None = height_param()
     engine: str = engine_param()
     tile = 8
+    by_replication = True
     kernels = KERNELS
 
     def __post_init__(self) -> None:

@@ -56,6 +56,7 @@ class LeastSquares(Compiled, Estimator):
     rows: str = rows_param()
     engine: str = engine_param()
     tile = 1
+    by_replication = True
     kernels = KERNELS
 
     @property

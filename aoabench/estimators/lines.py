@@ -127,6 +127,7 @@ class LineLeastSquares(Estimator):
 
     clip: bool = clip_param()
     tile = 8
+    by_replication = True
 
     @property
     def needs(self) -> frozenset[str]:
@@ -152,6 +153,7 @@ class AnchorDiscarding(Estimator):
     )
     clip: bool = clip_param()
     tile = 8
+    by_replication = True
 
     @property
     def needs(self) -> frozenset[str]:

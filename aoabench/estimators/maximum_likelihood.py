@@ -79,6 +79,7 @@ class GaussNewton(Compiled, Estimator):
     )
     engine: str = engine_param()
     tile = 1
+    by_replication = True
     kernels = KERNELS
 
     @property

@@ -76,6 +76,7 @@ class VmfLikelihood(Estimator):
     updates: int = updates_param(100)
     clip: bool = clip_param()
     tile = 8
+    by_replication = True
 
     @property
     def needs(self) -> frozenset[str]:

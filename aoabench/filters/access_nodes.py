@@ -70,6 +70,7 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
     _: KW_ONLY
     engine: str = engine_param()
     tile = 8
+    by_replication = True
     kernels = KERNELS
 
     @property

@@ -46,6 +46,7 @@ class _Kalman(InnovationBound, Compiled, Filter):
     _: KW_ONLY
     engine: str = engine_param()
     tile = 128
+    by_replication = True
     kernels = KERNELS
     finest: ClassVar[float] = 0.0  # the kernel's least variance
 

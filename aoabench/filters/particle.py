@@ -94,6 +94,7 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
     )
     engine: str = engine_param(double="NumPy with the kernel's draws")
     tile = 1  # one replication at a time: the particles are the batch
+    by_replication = True
     kernels = KERNELS
 
     def prepare(self, say: Callable[[str], None]) -> None:

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from aoabench.config.compose import compose_cells
+from aoabench.config.presets import options
 from aoabench.engine.block import run_block
+from aoabench.engine.tiles import tile_of
 from aoabench.engine.timing import time_estimators
+from aoabench.errors import UserError
 from aoabench.noise.angular import VonMisesFisher
 from aoabench.roles import Estimator
 from aoabench.types import Estimates, Outcome
@@ -60,3 +63,61 @@ def test_what_is_timed_was_prepared():
     cell = compose_cells(["filter=[ekf_vmf]"])[0]
     given = cell.scenario, cell.noise, {"new": Unprepared()}, cell.seed
     assert set(time_estimators(*given, 300)) == {"new"}
+
+
+PLACES = [
+    ("filter", ["noise=vmf", "scenario.steps=2"]),
+    ("filter", ["noise=ofdm_crlb", "scenario=indoor_map", "scenario.dt=40"]),
+    ("estimator", ["noise=ae_flip", "scenario.steps=2", "noise.mounting_yaw_deg=3"]),
+    ("estimator", ["noise=ble_multipath", "scenario=ble_room", "scenario.packets=2"]),
+]
+
+
+@pytest.mark.parametrize(("group", "words"), PLACES)
+def test_replications_that_are_not_wanted_change_no_bit(group, words):
+    """Every shipped estimator says that it depends on its own replication alone: with the data of
+    one replication in the places of the others it gives the same bits as in the whole tile.
+    """
+    seen = set()
+    for name in options(group):
+        rest = ["filter=[]"] if group == "estimator" else []
+        rest += [f"filter.{name}.particles=50"] if name.startswith("pf_") else []
+        try:
+            cell = compose_cells([*words, *rest, f"{group}=[{name}]"])[0]
+        except UserError:
+            continue
+        estimator = cell.estimators[name]
+        assert estimator.by_replication, name
+        own = vars(estimator)
+        kind = type(estimator), own.get("engine"), type(own.get("measurement"))
+        size = tile_of(estimator, cell.scenario)
+        if kind in seen or size == 1:
+            continue
+        seen.add(kind)
+        given = cell.scenario, cell.noise, cell.estimators, cell.seed
+        whole = run_block(*given, 0, size)[name]["rows"]
+        for start, stop in ((0, 1), (size - 3, size)):
+            some = run_block(*given, start, stop)[name]["rows"]
+            for column, values in some.items():
+                np.testing.assert_array_equal(values, whole[column][start:stop], f"{name} {column}")
+    assert seen
+
+
+def test_only_the_wanted_replications_are_simulated(monkeypatch):
+    """A second one, if one is wanted; all of them for an estimator that says nothing of itself."""
+    from aoabench.engine import tiles
+
+    drawn, simulate = [], tiles.simulate
+    monkeypatch.setattr(tiles, "simulate", lambda *a: (drawn.append(a[-1]), simulate(*a))[1])
+    cell = compose_cells(["noise=vmf", "filter=[ekf_vmf]", "scenario.steps=2"])[0]
+    for (start, stop), numbers in (
+        ((0, 2), [0, 1]),
+        ((5, 6), [5, 6]),
+        ((127, 128), [126, 127]),
+        ((126, 131), [126, 127, 128, 129, 130]),
+    ):
+        run_block(cell.scenario, cell.noise, cell.estimators, cell.seed, start, stop)
+        assert drawn == numbers
+        drawn.clear()
+    run_block(cell.scenario, cell.noise, {"mine": Noting(16)}, cell.seed, 0, 2)
+    assert drawn == list(range(16))
