@@ -68,31 +68,30 @@ def time_estimators(
         for name, estimator in estimators.items():
             estimator.prepare(lambda line: None)  # compiling is not the estimator's time
             size = tile_of(estimator, scenario)
+            few = min(size, _SIMULATED, reps)
             passes = min(1 + repeats, -(-reps // size))
             seconds: list[float] = []
             for number in range(passes):
                 if sum(seconds) >= _ENOUGH_S:
                     break
                 first = max(number - 1, 0) if size == 1 else 0
-                seconds += _one_pass(draws, estimator, first, size)
+                seconds += _one_pass(draws, estimator, range(first, first + size), few)
             seconds = seconds[1:] or seconds
             if seconds:
-                steps = draws.tile(0, min(size, _SIMULATED))[0].shape[1]
+                steps = draws.tile(0, few)[0].shape[1]
                 result[name] = Timing(float(np.median(seconds)), size, steps)
     return result
 
 
-def _one_pass(draws: Draws, estimator: Estimator, first: int, size: int) -> list[float]:
-    """Seconds that the tile from replication `first` on takes, in a list; empty if it raises."""
-    few = min(size, _SIMULATED)
-    truth, batch = draws.tile(first, few)
-    if few < size:
-        at = np.arange(size) % few
+def _one_pass(draws: Draws, estimator: Estimator, tile: range, few: int) -> list[float]:
+    """Seconds that a tile takes, filled with `few` replications, in a list; empty if it raises."""
+    truth, batch = draws.tile(tile.start, few)
+    if few < len(tile):
+        at = np.arange(len(tile)) % few
         truth, batch = truth[at], placed(batch, at)
-    numbers = tuple(range(first, first + size))
     begin = time.perf_counter()
     try:
-        checked(call(estimator, batch, draws, numbers, truth), truth.shape[:2], estimator.label)
+        checked(call(estimator, batch, draws, tuple(tile), truth), truth.shape[:2], estimator.label)
     except Exception:  # the run itself has counted this failure
         return []
     return [time.perf_counter() - begin]
