@@ -167,7 +167,7 @@ def test_compare_takes_all_it_needs_from_one_generation(out, monkeypatch):
     """Between its tables and the fixes of its intervals, a run changes the cell."""
     expected, shown = aoabench.compare(out), tables.shown
 
-    def overtaken(out, *names):
+    def overtaken(_run, *names):
         found = shown(out, *names)
         made.cell(out, "a", ["ml", "ls"], sigma_deg=10, keys="new")
         tables.collect(out, ["a"])
