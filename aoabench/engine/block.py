@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -34,6 +35,22 @@ class Results:
     def imprecise(self) -> np.ndarray:
         """Inputs.imprecise (R, T) of the estimates."""
         return self.inputs.imprecise(self.estimates)
+
+    def near_those_kept(self) -> Results:
+        """The results without the replications before and after those that become rows; two are
+        left, if there are two, as NumPy may sum a single one in another order.
+        """
+        first, last = np.flatnonzero(self.keep)[[0, -1]]
+        first = max(min(first, len(self.keep) - 2), 0)
+        some = slice(first, max(last + 1, first + 2))
+        inputs, estimates = (_cut(one, some) for one in (self.inputs, self.estimates))
+        return Results(self.numbers[some], self.truth[some], estimates, inputs, self.keep[some])
+
+
+def _cut(arrays: Any, some: slice) -> Any:
+    """A dataclass of arrays (R, ...) or None with some of the replications."""
+    given = {f.name: getattr(arrays, f.name) for f in fields(arrays)}
+    return type(arrays)(**{k: None if v is None else v[some] for k, v in given.items()})
 
 
 RowMaker = Callable[[Results], Rows]
@@ -96,7 +113,7 @@ def _same_tiles(
             estimates = _one_after_the_other([tile[name][1] for tile in found])
             for tile in found:
                 errors[name] |= tile[name][2]
-            results = Results(numbers, truth, estimates, facts, keep)
+            results = Results(numbers, truth, estimates, facts, keep).near_those_kept()
             for kind, make in makers.items():
                 rows[name][kind].append(make(results))
     blocks = {}
