@@ -68,7 +68,7 @@ def time_estimators(
         for name, estimator in estimators.items():
             estimator.prepare(lambda line: None)  # compiling is not the estimator's time
             size = tile_of(estimator, scenario)
-            few = min(size, _SIMULATED, reps)
+            few = min(size, _SIMULATED, max(reps, 2))  # `placed` takes a single one as shared
             passes = min(1 + repeats, -(-reps // size))
             seconds: list[float] = []
             for number in range(passes):

@@ -121,3 +121,10 @@ def test_only_the_wanted_replications_are_simulated(monkeypatch):
         drawn.clear()
     run_block(cell.scenario, cell.noise, {"mine": Noting(16)}, cell.seed, 0, 2)
     assert drawn == list(range(16))
+
+
+def test_a_single_replication_is_timed():
+    cell = compose_cells(["noise=vmf", "filter=[ekf_vmf]", "scenario.steps=2"])[0]
+    found = time_estimators(cell.scenario, cell.noise, cell.estimators, 1, reps=1)
+    assert found["ekf_vmf"].seconds > 0
+    assert (found["ekf_vmf"].replications, found["ekf_vmf"].steps) == (128, 2)
