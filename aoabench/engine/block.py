@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from aoabench.engine import metrics
 from aoabench.engine.inputs import Inputs
+from aoabench.engine.threads import one_thread
 from aoabench.engine.tiles import Draws, tile_of, try_tile
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.types import Estimates
@@ -81,7 +81,7 @@ def run_block(
     makers |= {"fixes": _fixes} if scenario.shares_positions else {}
     blocks: dict[str, dict[str, Rows]] = {}
     wanted = range(start, stop)
-    with threadpool_limits(1):
+    with one_thread():
         sizes = {name: tile_of(estimator, scenario) for name, estimator in estimators.items()}
         for size in sorted(set(sizes.values())):
             same = {name: e for name, e in estimators.items() if sizes[name] == size}

@@ -14,7 +14,7 @@ from aoabench.engine.faults import KEPT, explained, report, writable
 from aoabench.engine.machines import Machines
 from aoabench.engine.planning import merged, tasks_of
 from aoabench.engine.tasks import Loss, Task, kind_of
-from aoabench.engine.timing import timed
+from aoabench.engine.timing import FEW, Timings
 from aoabench.engine.workers import compute_all
 from aoabench.errors import RunError
 from aoabench.maths import statistics
@@ -230,7 +230,10 @@ class _Run:
 
     def _tabulate(self) -> int:
         """Make the tables and measure times; return the number of estimator-replications shown."""
-        known, shown = index.read(self.out, self.keys).timing(), 0
+        timings, shown = Timings(index.read(self.out, self.keys).timing()), 0
+        going = [cell for cell in self.cells if cell.id not in self.stopped]
+        for cell in (c for c in going if c.reps < FEW):  # quickly measured
+            timings.measure(cell, self.keys[cell.id])
         for cell in self.cells:
             keys = self.keys[cell.id]
             reps = dict.fromkeys(keys, self.goal[cell.id])
@@ -238,16 +241,12 @@ class _Run:
                 reps = {name: self._prefix(cell, key) for name, key in keys.items()}
             shown += sum(reps.values())
             precision = self.precision.get(cell.id, {})
-            record_cell(self.out, cell, keys, self.draws[cell.id], known, reps, precision)
+            record_cell(self.out, cell, keys, self.draws[cell.id], timings.known, reps, precision)
         tables.collect(self.out, {cell.id for cell in self.cells})
-        fresh: dict[str, Any] = {}
-        for cell in self.cells:
-            if cell.id not in self.stopped:
-                fresh |= timed(
-                    cell,
-                    {n: key for n, key in self.keys[cell.id].items() if key not in known | fresh},
-                )
-        tables.note_timing(self.out, fresh)
+        late: dict[str, Any] = {}
+        for cell in going:
+            late |= timings.measure(cell, self.keys[cell.id])
+        tables.note_timing(self.out, late)
         return shown
 
     def _prefix(self, cell: Cell, key: str) -> int:

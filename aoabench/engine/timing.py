@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from aoabench.cell import Cell
+from aoabench.engine.threads import one_thread
 from aoabench.engine.tiles import Draws, call, checked, placed, tile_of
 from aoabench.roles import Estimator, Noise, Scenario
 
 _SIMULATED = 8  # replications that fill a larger tile, as the simulation is not timed
 _ENOUGH_S = 1.0
-_FEW = 100  # replications; cells with fewer are timed once, others up to three times
+FEW = 100  # replications; cells with fewer are timed once, others up to three times
 
 
 @dataclass(frozen=True)
@@ -27,24 +27,44 @@ class Timing:
     replications: int
     steps: int
 
-
-def timed(cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
-    """Serial timings, by part key, of some of the cell's estimators."""
-    if not keys:
-        return {}
-    estimators = {name: cell.estimators[name] for name in keys}
-    repeats = 1 if cell.reps < _FEW else 3  # timing must not delay many small cells
-    given = (cell.scenario, cell.noise, estimators, cell.seed, cell.reps)
-    measured = time_estimators(*given, repeats)
-    return {
-        keys[name]: {
-            "seconds_per_step": timing.seconds / (timing.replications * timing.steps),
-            "seconds_per_replication": timing.seconds / timing.replications,
-            "replications": timing.replications,
-            "steps": timing.steps,
+    def columns(self) -> dict[str, Any]:
+        """The columns of the timing table."""
+        return {
+            "seconds_per_step": self.seconds / (self.replications * self.steps),
+            "seconds_per_replication": self.seconds / self.replications,
+            "replications": self.replications,
+            "steps": self.steps,
         }
-        for name, timing in measured.items()
-    }
+
+
+class Timings:
+    """Timings of a run's estimators, by part key; those in `known` are not measured again.
+
+    Cells of few replications that share scenario and estimator, and so differ in noise or seed
+    alone, share one measurement: timing must not delay many small cells.
+    """
+
+    def __init__(self, known: Mapping[str, Any]) -> None:
+        self.known = dict(known)
+        self._shared: dict[tuple[int, int], Any] = {}  # by scenario and estimator, which cells keep
+
+    def measure(self, cell: Cell, keys: Mapping[str, str]) -> dict[str, Any]:
+        """Enter and return the timings of those estimators of the cell that have none."""
+        few = cell.reps < FEW
+        pairs = {n: (id(cell.scenario), id(cell.estimators[n])) for n in keys}
+        found = {
+            keys[n]: self._shared[pair]
+            for n, pair in pairs.items()
+            if few and pair in self._shared and keys[n] not in self.known
+        }
+        rest = [n for n in keys if keys[n] not in self.known and keys[n] not in found]
+        if rest:
+            estimators = {name: cell.estimators[name] for name in rest}
+            given = (cell.scenario, cell.noise, estimators, cell.seed, cell.reps)
+            for name, timing in time_estimators(*given, 1 if few else 3).items():
+                found[keys[name]] = self._shared[pairs[name]] = timing.columns()
+        self.known |= found
+        return found
 
 
 def time_estimators(
@@ -63,7 +83,7 @@ def time_estimators(
     count; an estimator without any other pass gets no timing.
     """
     result = {}
-    with threadpool_limits(1):
+    with one_thread():
         draws = Draws(scenario, noise, seed)
         for name, estimator in estimators.items():
             estimator.prepare(lambda line: None)  # compiling is not the estimator's time

@@ -12,10 +12,9 @@ from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from aoabench.engine.dask import cluster, compute_remotely, wait_until_seen
 from aoabench.engine.tasks import Loss, Task, numbered
+from aoabench.engine.threads import one_thread
 from aoabench.store.machine import machine
 
 _WAITING_TASKS = 256  # queued on a cluster, for workers that connect later
@@ -76,7 +75,7 @@ def _on_this_machine(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Pat
         **own,
     )
     # threads share one BLAS: limit it here, once, not in each block
-    with threadpool_limits(1) if options.backend == "threading" else nullcontext():
+    with one_thread() if options.backend == "threading" else nullcontext():
         yield from _results(parallel(delayed(numbered)(i, task, out) for i, task in wanted))
 
 

@@ -1,10 +1,13 @@
 """Blocks of replications: which tiles an estimator sees, and what becomes of them."""
 
+import sys
+
 import numpy as np
 import pytest
 
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
+from aoabench.engine import threads, timing
 from aoabench.engine.block import run_block
 from aoabench.engine.tiles import tile_of
 from aoabench.engine.timing import time_estimators
@@ -128,3 +131,38 @@ def test_a_single_replication_is_timed():
     found = time_estimators(cell.scenario, cell.noise, cell.estimators, 1, reps=1)
     assert found["ekf_vmf"].seconds > 0
     assert (found["ekf_vmf"].replications, found["ekf_vmf"].steps) == (128, 2)
+
+
+def test_cells_of_few_replications_share_a_measurement(monkeypatch):
+    """Cells that differ in their noise alone; those of many replications are measured each."""
+    asked = []
+    measured = timing.time_estimators
+    monkeypatch.setattr(timing, "time_estimators", lambda *a: (asked.append(a), measured(*a))[1])
+    words = ["filter=[ekf_vmf]", "scenario.steps=2", "noise=vmf", "noise.sigma_deg=5,6"]
+    for reps, count in ((2, 1), (100, 2)):
+        asked.clear()
+        cells = compose_cells([*words, f"reps={reps}"])
+        timings = timing.Timings({"c": 1})
+        rows = [timings.measure(c, {"ekf_vmf": key}) for c, key in zip(cells, "ab")]
+        assert len(asked) == count
+        assert (rows[0]["a"] == rows[1]["b"]) == (count == 1)
+        assert timings.known == rows[0] | rows[1] | {"c": 1}
+        assert timings.measure(cells[0], {"ekf_vmf": "c"}) == {}
+
+
+def test_one_thread_sees_libraries_that_are_loaded_later(monkeypatch):
+    found = []
+    monkeypatch.setattr(threads, "ThreadpoolController", lambda: found.append(1) or Limits())
+    threads._controller.cache_clear()
+    for _ in range(2):
+        threads.one_thread()
+    assert len(found) == 1
+    monkeypatch.setitem(sys.modules, "a_module_of_this_test", sys)
+    threads.one_thread()
+    assert len(found) == 2
+    threads._controller.cache_clear()
+
+
+class Limits:
+    def limit(self, limits):
+        assert limits == 1
