@@ -98,10 +98,15 @@ def source(module: str) -> Source | None:
     """The source of a module as imported, or as it is now if it is not imported yet; None for one
     without a source file of its own, such as a compiled extension.
     """
-    path, live = source_path(module), sys.modules.get(module)
+    live, known = sys.modules.get(module), _sources.get(module)
+    if live is not None and live in _read_later:
+        known = _read_later[live]
+    spec = live.__spec__ if live is not None else None
+    if known and spec is not None and spec.origin == str(known.path):
+        return known
+    path = source_path(module)
     if path is None:
         return None
-    known = _sources.get(module) if live is None else _read_later.get(live) or _sources.get(module)
     if known and known.path == path:
         return known
     try:
