@@ -108,7 +108,11 @@ def _check_spelling(obj: Any, role: type, path: str) -> None:
     """
     known = {name for name in dir(role) if not name.startswith("_")}
     known |= set(role.__annotations__)
-    own = [c for c in type(obj).__mro__ if not c.__module__.startswith(("aoabench.", "builtins"))]
+    own = [
+        c
+        for c in type(obj).__mro__
+        if not c.__module__.startswith(("aoabench.", "builtins", "functools"))
+    ]
     names = {name for c in own for name in (*vars(c), *inspect.get_annotations(c))}
     names -= {f.name for f in dataclasses.fields(obj)} if dataclasses.is_dataclass(obj) else set()
     for name in sorted(names - known):

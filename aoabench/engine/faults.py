@@ -48,7 +48,7 @@ def explained(out: Path | None = None, then: str = "") -> Iterator[None]:
     """Turn an error of the machine (memory, files, workers, Dask) into a one-line RunError.
 
     `out` is the folder that is written or read, named if the error names no file; `then` ends the
-    line. A broken pipe is passed on: nobody reads what is printed.
+    line. A broken pipe is passed on: its reader has gone.
     """
     try:
         yield

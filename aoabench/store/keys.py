@@ -11,8 +11,9 @@ from __future__ import annotations
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import partial
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, MethodType
 from typing import Any
 
 from aoabench import loaded
@@ -23,7 +24,7 @@ from aoabench.maths.digest import digest
 from aoabench.params import CheckedParams
 from aoabench.resources import version
 from aoabench.roles import PlainEstimator
-from aoabench.store.live import NotPlain, changes, plain
+from aoabench.store.live import NotPlain, changes, function_in, plain
 from aoabench.store.reach import Reach, Root, reach
 
 _BLOCK: Root = ("aoabench.engine.block", "run_block")
@@ -232,6 +233,10 @@ def _parts(value: Any) -> Iterator[Any]:
     if isinstance(value, list | tuple):
         for item in value:
             yield from _parts(item)
+    elif isinstance(value, MethodType):
+        yield from _parts([value.__self__, value.__func__])
+    elif isinstance(value, partial):
+        yield from _parts([value.func, value.args, value.keywords])
     elif not isinstance(value, type) and (is_dataclass(value) or callable(value)):
         yield value
         if is_dataclass(value):
@@ -241,7 +246,8 @@ def _parts(value: Any) -> Iterator[Any]:
 def _roots(parts: Iterable[Any]) -> Iterator[Root]:
     """The definitions of the classes and functions of the parts of an object."""
     for value in parts:
-        owner = value if isinstance(value, FunctionType) else type(value)
+        inner = function_in(value)
+        owner = inner if isinstance(inner, FunctionType) else type(value)
         yield owner.__module__, owner.__qualname__.partition(".")[0]
 
 

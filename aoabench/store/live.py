@@ -58,9 +58,11 @@ def plain(value: Any, name: str = "value") -> Any:
         return sorted((plain(one, name) for one in value), key=repr)
     if isinstance(value, Mapping) and type(value) in (dict, types.MappingProxyType):
         return [[plain(k, name), plain(v, f"{name}[{k!r}]")] for k, v in value.items()]
+    if isinstance(value, types.MethodType):
+        return [plain(v, name) for v in (value.__self__, value.__func__)]
     if isinstance(value, functools.partial):
         return [plain(v, name) for v in (value.func, value.args, value.keywords)]
-    if isinstance(value, type) or isinstance(_function(value), types.FunctionType):
+    if isinstance(value, type) or isinstance(function_in(value), types.FunctionType):
         return _importable(value, name)
     if is_dataclass(value):
         return _dataclass(value, name)
@@ -75,7 +77,11 @@ def _dataclass(value: Any, name: str) -> Any:
     given = {f.name: getattr(value, f.name) for f in fields(value)}
     cached = {n for c in cls.__mro__ for n, v in vars(c).items() if _is_cached(v)}
     shipped = cls.__module__.startswith("aoabench.")
-    more = [] if shipped else sorted(set(vars(value)) - set(given) - cached)
+    try:
+        own = vars(value)
+    except TypeError:  # its slots are its fields
+        own = {}
+    more = [] if shipped else sorted(set(own) - set(given) - cached)
     if more:
         raise NotPlain(f"{name}: {cls.__qualname__} has {more[0]!r}, which is no field")
     taken = {n: f.type for n, f in cls.__dataclass_fields__.items() if n not in given}
@@ -91,18 +97,18 @@ def _is_cached(value: object) -> bool:
 
 def _importable(value: Any, name: str) -> str:
     """Module and name of a class or function; NotPlain unless it is found under them."""
-    function = _function(value)
+    function = function_in(value)
     module, path = function.__module__, function.__qualname__
     found: Any = sys.modules.get(module)
     for part in path.split("."):
         known = isinstance(found, type | types.ModuleType)
         found = vars(found).get(part, _UNSTATED) if known else _UNSTATED
-    if found is not value and _function(found) is not function:
+    if found is not value and function_in(found) is not function:
         raise NotPlain(f"{name} is {path}, which cannot be imported from {module} by its name")
     return f"{module}.{path}"
 
 
-def _function(value: Any) -> Any:
+def function_in(value: Any) -> Any:
     """The function inside what decorators of Python and numba make of one, or the value itself."""
     while True:
         if isinstance(value, staticmethod | classmethod | types.MethodType):
@@ -191,8 +197,8 @@ def _class_changes(place: _Place, node: ast.ClassDef, cls: type) -> Iterator[Any
             yield from _changes(inner, known, value)
         elif known is not None:
             _check_function(inner, known, value)
-        elif isinstance(_function(value), types.FunctionType):
-            _check_unstated(inner, node, _function(value))
+        elif isinstance(function_in(value), types.FunctionType):
+            _check_unstated(inner, node, function_in(value))
         elif literal is not _UNSTATED:
             yield from () if _same(literal, value) else _values(str(inner), value)
         elif not (
@@ -207,7 +213,7 @@ def _check_function(place: _Place, node: Any, value: Any) -> None:
     """Raise NotPlain unless a live function is the one in the source, and UserError if the source
     is another one by now.
     """
-    function = _function(value)
+    function = function_in(value)
     if node.decorator_list and isinstance(function, types.FunctionType):
         function = inspect.unwrap(function)
     if not isinstance(function, types.FunctionType):

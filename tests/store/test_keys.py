@@ -7,6 +7,7 @@ one's. `SAME` cases differ in nothing that does: it must.
 import ast
 import copy
 import dataclasses
+import functools
 import importlib
 import os
 import sys
@@ -385,6 +386,46 @@ def test_objects_that_are_plain_values_are_reused():
     assert len({given(Gain())[0], given(Gain(2.0))[0], given(Gain(table=np.arange(2.0)))[0]}) == 3
 
 
+@dataclass(frozen=True, slots=True)
+class Slotted:
+    gain: float = 1.0
+
+    def __call__(self, batch, scenario, streams):
+        return _fixes(batch, self.gain)
+
+
+@functools.lru_cache(1)
+def cached(batch, scenario, streams):
+    return _fixes(batch, OFFSET)
+
+
+def scaled(batch, scenario, streams, by):
+    return _fixes(batch, by * OFFSET)
+
+
+@pytest.mark.parametrize("make", [
+    lambda k: Gain(k).__call__,
+    lambda k: functools.partial(scaled, by=k),
+    lambda k: functools.partial(Gain(k)),
+    lambda k: Slotted(k),
+])  # fmt: skip
+def test_methods_partial_functions_and_slots_are_keyed_on_what_they_hold(make):
+    key, notes = given(make(1.0))
+    assert not notes
+    assert given(make(1.0)) == (key, ())
+    assert given(make(2.0))[0] != key
+
+
+@pytest.mark.parametrize(
+    "obj", [Gain().__call__, functools.partial(scaled, by=1), cached, functools.partial(cached)]
+)
+def test_their_code_counts(obj, monkeypatch):
+    key, notes = given(obj)
+    assert not notes
+    monkeypatch.setattr(sys.modules[__name__], "OFFSET", 100.0)
+    assert given(obj)[0] != key
+
+
 def test_a_global_variable_set_at_run_time(monkeypatch):
     before = [given(Gain())[0], given(middle)[0]]
     monkeypatch.setattr(sys.modules[__name__], "OFFSET", 100.0)
@@ -422,6 +463,18 @@ def test_objects_that_are_no_plain_values_are_computed_anew(obj, reason):
     assert first != second
     assert len(notes) == 1
     assert reason in notes[0]
+
+
+@dataclass(frozen=True, slots=True)
+class SlottedGain(Gain):
+    more: float = 1.0
+
+
+def test_state_beside_slots():
+    one = SlottedGain()
+    assert not given(one)[1]
+    object.__setattr__(one, "secret", 1)
+    assert "SlottedGain has 'secret', which is no field" in given(one)[1][0]
 
 
 def test_state_that_is_no_field():
