@@ -19,12 +19,12 @@ def shipped(folder: str) -> Path:
 
 @functools.cache
 def printed(study: str) -> dict[str, Any]:
-    """Numbers printed in a study's paper, by their ids in printed.yaml; None for a number that the
+    """Numbers printed in a study's paper, by their ids in claims.yaml; None for a number that the
     paper does not print.
     """
     import yaml
 
-    path = shipped("experiments") / study / "printed.yaml"
+    path = shipped("experiments") / study / "claims.yaml"
     entries = yaml.safe_load(path.read_text(encoding="utf-8"))
     return {entry["id"]: entry.get("printed") for entry in entries}
 

@@ -65,7 +65,7 @@ def _judge(study: Study, entry: dict[str, Any], found: Found) -> dict[str, Any]:
     """The row of one printed number or claim; UserError if its item is not in study.yaml."""
     if entry["item"] not in {item.name for item in study.items}:
         raise UserError(
-            f"{study.folder / 'printed.yaml'}: {entry['id']}: "
+            f"{study.folder / 'claims.yaml'}: {entry['id']}: "
             f"item {entry['item']!r} is not in study.yaml"
         )
     ours, samples = found.get(entry["id"], (None, math.nan))

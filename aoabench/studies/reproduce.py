@@ -1,7 +1,7 @@
 """From a study's list of items to its tables, figures, verdicts and page.
 
 A study is a folder under `experiments/`: study.yaml (the items), `numbers` (item -> table) and
-`figures` (table -> figure and values), each a module or a package, printed.yaml, errata.yaml,
+`figures` (table -> figure and values), each a module or a package, claims.yaml, errata.yaml,
 README.md. Computing ends in Parquet; drawing starts from it.
 """
 

@@ -71,7 +71,7 @@ def load(name: str) -> Study:
 
     spec = read("study.yaml")
     items = tuple(Item(name=key, **fields) for key, fields in spec["items"].items())
-    printed, errata = tuple(read("printed.yaml")), tuple(read("errata.yaml"))
+    printed, errata = tuple(read("claims.yaml")), tuple(read("errata.yaml"))
     return Study(
         name, folder, spec["title"], spec["cite"], items, printed, errata, spec.get("schematic", "")
     )

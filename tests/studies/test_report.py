@@ -115,7 +115,7 @@ def made_up_runs(layouts, counts=(10000,)):
 
 
 def test_printed_ids_are_found_by_the_figures_of_a_full_run():
-    """Every id in printed.yaml is one that figures.py can give, on tables with made-up numbers."""
+    """Every id in claims.yaml is one that figures.py can give, on tables with made-up numbers."""
     s = study.load("nurminen2018")
     names = [
         f"{a}_{m}"
