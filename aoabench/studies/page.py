@@ -14,6 +14,7 @@ from aoabench.errors import RunError
 from aoabench.maths.digest import flatten
 from aoabench.report.text import number_text
 from aoabench.store.files import read_provenance, read_table, write_atomically
+from aoabench.studies.places import Places
 from aoabench.studies.reading import OTHER_VERSION, read
 from aoabench.studies.study import Study, figure_path, table_path
 from aoabench.studies.verdict import (
@@ -40,10 +41,10 @@ VERDICTS = {
 def write(
     everything: list[Study],
     verdicts: pd.DataFrame,
-    results: Path,
+    places: Places,
     problems: Mapping[tuple[str, str], str] | None = None,
 ) -> Path:
-    """Write <results>/report/index.html and return its path; `problems` maps (study, item) to the
+    """Write report/index.html in `places.drawn` and return its path; `problems` maps (study, item) to the
     reason why a figure is missing ("" if none).
     """
     import jinja2
@@ -65,15 +66,15 @@ def write(
         everything, key=lambda s: not s.printed
     )  # a leaderboard has no printed numbers and comes last
     html = environment.get_template("page.html.j2").render(
-        studies=[_study(s, rows, results, problems or {}) for s in ordered],
+        studies=[_study(s, rows, places, problems or {}) for s in ordered],
         rows=rows,
         counts=verdicts["verdict"].value_counts().to_dict(),
         classes=VERDICTS,
-        bench=_bench(results / "bench" / "bench.parquet"),
+        bench=_bench(places.bench / "bench.parquet"),
         script=(Path(__file__).parent / "page.js").read_text(encoding="utf-8"),
         style=(Path(__file__).parent / "page.css").read_text(encoding="utf-8"),
     )
-    path = results / "report" / "index.html"
+    path = places.drawn / "report" / "index.html"
     write_atomically(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
     return path
 
@@ -81,18 +82,18 @@ def write(
 def _study(
     study: Study,
     rows: list[dict[str, Any]],
-    results: Path,
+    places: Places,
     problems: Mapping[tuple[str, str], str],
 ) -> dict[str, Any]:
     items = []
     found: dict[str, Any] = {}
     for item in study.items:
-        reading = read(study, item, results)
+        reading = read(study, item, places.results)
         found |= reading.values
         problem = reading.problem or problems.get((study.name, item.name), "").partition(" (")[0]
-        figure = figure_path(results, study, item)
+        figure = figure_path(places.drawn, study, item)
         good = reading.stored and not problem
-        origin = read_provenance(table_path(results, study, item)) if good else {}
+        origin = read_provenance(table_path(places.results, study, item)) if good else {}
         scale = f" --scale {origin['scale']}" if origin.get("scale", "quick") != "quick" else ""
         items.append(
             {

@@ -7,14 +7,15 @@ import pytest
 from aoabench.report.text import number_text, printed_text
 from aoabench.store.files import read_provenance, write_frame
 from aoabench.studies import claims, reproduce, study
+from aoabench.studies.places import Places
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     said = []
-    for item in ("table1", "fig1", "fig2"):
-        reproduce.reproduce(["nurminen2018"], "quick", item, folder, said.append)
+    places = Places.inside(folder)
+    reproduce.reproduce(["nurminen2018"], "quick", "table1,fig1,fig2", places, said.append)
     return folder, "\n".join(said)
 
 
