@@ -152,7 +152,7 @@ def draw(
         )
     writable(str(places.drawn / "figures"), "--results")
     problems = {(s.name, i.name): _drawn(s, i, places, echo, formats) for s, i in pairs}
-    for s in dict.fromkeys(s for s, _ in pairs):
+    for s in {s.name: s for s, _ in pairs}.values():
         absent = [item.name for item in s.items if not stored[id(item)]]
         if absent:
             echo(f"{s.name}: not computed: {', '.join(absent)}; aoabench reproduce {s.name}")
