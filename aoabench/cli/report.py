@@ -24,7 +24,8 @@ def report(results: Path, format_: str | None, as_json: bool) -> None:
       aoabench report
       aoabench report --format pdf
 
-    With --json: `results`, the folder; `verdicts`, a row for each printed number or claim;
+    With --json: `results`, the folder; `verdicts`, a row for each claim; `readings`, one for each reading of
+    a claim;
     `not_computed`, the items without a table, each with the reason; `page`, its path.
     """
     from aoabench.studies import reproduce as reproducing

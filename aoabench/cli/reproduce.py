@@ -72,7 +72,8 @@ def reproduce(
       aoabench reproduce le2021 --only fig5
 
     With --json: `scale`; `results`, the folder; `items`, the computed items with study, item, rows,
-    seconds; `verdicts`, a row for each printed number or claim; `not_computed`, the items without a
+    seconds; `verdicts`, a row for each claim; `readings`, one for each reading of
+    a claim; `not_computed`, the items without a
     table, each with the reason; `page`, its path.
     """
     from aoabench.studies import reproduce as reproducing

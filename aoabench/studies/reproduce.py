@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aoabench.config.compose import compose_cells
 from aoabench.config.overrides import file_setting
@@ -22,21 +22,19 @@ from aoabench.errors import UserError, did_you_mean
 from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
 from aoabench.store.fixes import fixes
-from aoabench.studies import claims, page, reading, study
-
-if TYPE_CHECKING:
-    import pandas as pd
+from aoabench.studies import page, statements, stored, study
+from aoabench.studies.statements import Verdicts
 
 Echo = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Result of `draw`: the verdicts of the named studies (see `claims.verdicts`), the reason by
-    (study, item) why a table cannot be used ("" if it can), and the path of the page.
+    """Result of `draw`: the verdicts of the named studies, the reason by (study, item) why a table
+    cannot be used ("" if it can), and the path of the page.
     """
 
-    verdicts: pd.DataFrame
+    verdicts: Verdicts
     problems: dict[tuple[str, str], str]
     page: Path
 
@@ -150,8 +148,8 @@ def draw(
         absent = [item.name for item in s.items if not study.table_path(results, s, item).exists()]
         for item in s.items:
             if only is None or item.name in only:
-                fault = reading.draw(s, item, results, tuple(formats))
-                problem = fault or reading.read(s, item, results).problem
+                fault = stored.draw(s, item, results, tuple(formats))
+                problem = fault or stored.read(s, item, results).problem
                 problems[name, item.name] = problem
                 if problem:
                     echo(
@@ -161,13 +159,13 @@ def draw(
         if absent and only is None:
             echo(f"{name}: not computed: {', '.join(absent)}; aoabench reproduce {name}")
     everything = [study.load(name) for name in all_studies()]
-    verdicts = claims.verdicts(everything, results)
-    if len(verdicts):
-        write_frame(results / "tables" / "verdicts.parquet", verdicts)
+    verdicts = statements.verdicts(everything, results)
+    write_frame(results / "tables" / "verdicts.parquet", verdicts.claims)
+    write_frame(results / "tables" / "readings.parquet", verdicts.readings)
     html = page.write(everything, verdicts, results, problems)
     echo("")
-    named = verdicts[verdicts["study"].isin(list(names))]
-    echo(claims.verdict_text(named))
+    named = verdicts.of(names)
+    echo(statements.verdict_text(named.claims))
     echo(f"tables   {results / 'tables'}")
     echo(f"figures  {results / 'figures'}")
     echo(f"page     {html}")
