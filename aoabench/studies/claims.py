@@ -148,12 +148,12 @@ def _claim(label: str, entry: Mapping[str, Any]) -> Claim:
     robustness = given.pop("robustness", [])
     if "of" in given:
         raise UserError(f"{label}: of: belongs into readings where these are given")
-    given["kind"] = given.pop("class", None)
-    known = {f.name for f in fields(Claim)} - {"readings", "kind"} | {"class", "of", "robustness"}
-    for key in given.keys() - {"kind"}:
+    known = {f.name for f in fields(Claim)} - {"kind"} | {"class", "of", "robustness"}
+    for key in entry:
         if key not in known:
             hint = did_you_mean(key, known) or f"; allowed: {', '.join(sorted(known))}"
             raise UserError(f"{label}: unknown key {key!r}{hint}")
+    given["kind"] = given.pop("class", None)
     missing = [key for key in ("id", "item", "what") if key not in given]
     if missing:
         raise UserError(f"{label}: {', '.join(missing)} missing")

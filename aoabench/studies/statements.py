@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from aoabench.maths.intervals import normal_quantile
 from aoabench.maths.statistics import Estimate
 from aoabench.report.text import interval_text, printed_text
@@ -147,7 +149,8 @@ def _undecided(ours: Estimate, found: verdict.Judgement, count: float) -> str:
         return "on the limit" if found.more == math.inf else "unknown interval"
     if found.more <= 1:
         return "across the limit"
-    count_text = f", N = {found.more * count:.2g}" if count == count else ""
+    units = np.format_float_positional(found.more * count, 2, fractional=False, trim="-")
+    count_text = f", N = {units}" if count == count else ""
     apart = ": beyond ten times the study's" if found.more > BEYOND else ""
     return f"{found.more:.2g} times the replications would decide{count_text}{apart}"
 

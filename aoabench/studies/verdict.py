@@ -137,4 +137,5 @@ def _more(limits: Limits, value: float, half: float) -> float:
     distance = min(abs(value - limits.low), abs(value - limits.high))
     if math.isnan(half) or math.isnan(distance):
         return math.nan
-    return (half / distance) ** 2 if distance > 0 else math.inf
+    ratio = half / distance if distance > 0 else math.inf
+    return ratio * ratio
