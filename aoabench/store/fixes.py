@@ -47,6 +47,11 @@ class Fixes:
     sigma_y_m: np.ndarray | None = None
     sigma_z_m: np.ndarray | None = None
 
+    def first(self, count: int) -> Fixes:
+        """The fixes of the first `count` replications."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(Fixes)}
+        return Fixes(**{n: None if a is None else a[:count] for n, a in arrays.items()})
+
 
 _FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", "outcome", "place")
 

@@ -5,7 +5,7 @@ row for each of its readings.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,7 @@ JUDGED = {
     "chosen": str, "flips": str, "shows": float, "needed": float, "basis": str, "counts": bool,
 }  # fmt: skip
 READ = {
-    "study": str, "id": str, "reading": str, "robustness": bool, "number": str, "numbers": int,
+    "study": str, "item": str, "id": str, "reading": str, "robustness": bool, "number": str, "numbers": int,
     "ours": float, "se": float, "low": float, "high": float, "unit": str, "verdict": str,
     "reason": str, "flips": str, "shows": float, "needed": float,
 }  # fmt: skip
@@ -49,9 +49,11 @@ class Verdicts:
     claims: pd.DataFrame
     readings: pd.DataFrame
 
-    def of(self, names: Sequence[str]) -> Verdicts:
-        """Those of the named studies."""
-        return Verdicts(*(f[f["study"].isin(list(names))] for f in (self.claims, self.readings)))
+    def of(self, asked: Container[tuple[str, str]]) -> Verdicts:
+        """Those on the items `asked`, pairs of study and item."""
+        frames = (self.claims, self.readings)
+        kept = ([pair in asked for pair in zip(f["study"], f["item"])] for f in frames)
+        return Verdicts(*(f[k] for f, k in zip(frames, kept)))
 
 
 def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
@@ -65,7 +67,7 @@ def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
             item = next(i for i in study.items if i.name == claim.item)
             found = [_read(claim, r, item, contents[item.name]) for r in claim.readings]
             claims.append({"study": study.name, **_row(claim, item, found)})
-            readings += [{"study": study.name, "id": claim.id, **row} for row in found]
+            readings += [{"study": study.name, **row, "item": item.name, "id": claim.id} for row in found]
     return Verdicts(
         pd.DataFrame(claims, columns=list(JUDGED)), pd.DataFrame(readings, columns=list(READ))
     )

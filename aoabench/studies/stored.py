@@ -11,9 +11,11 @@ from aoabench.errors import RunError, WriteError
 from aoabench.maths.statistics import Estimate
 from aoabench.store.files import read_provenance, read_table
 
+from aoabench.studies.places import Places
+from aoabench.studies.study import Item, Study, figure_path, table_path
+
 if TYPE_CHECKING:
     import pandas as pd
-from aoabench.studies.study import Item, Study, figure_path, table_path
 
 OTHER_VERSION = "the table is of another version"
 
@@ -34,19 +36,19 @@ def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
     return read_table(path).to_pandas() if path.exists() else None
 
 
-def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:
+def draw(study: Study, item: Item, places: Places, formats: tuple[str, ...] = ("png",)) -> str:
     """Draw an item's figure from its stored table, if the item has both; return the reason why the
     table cannot be drawn, or "". The old figure of such a table is deleted.
 
     Raises WriteError if the figure cannot be written.
     """
-    path = figure_path(results, study, item)
-    if not item.figure or not table_path(results, study, item).exists():
+    path = figure_path(places.drawn, study, item)
+    if not item.figure or not table_path(places.results, study, item).exists():
         return ""
     from aoabench.report import plots
 
     try:
-        frame = table(results, study, item)
+        frame = table(places.results, study, item)
         plots.save(lambda: getattr(study.figures, item.name)(frame), path, formats)
     except WriteError:
         raise
