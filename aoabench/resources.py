@@ -27,13 +27,13 @@ def output_folder() -> Path:
 
 @functools.cache
 def printed(study: str) -> dict[str, Any]:
-    """Numbers printed in a study's paper, by their ids in claims.yaml; None for a number that the
-    paper does not print.
+    """Numbers printed in a study's paper, by the ids of their claims in claims.yaml; None for a claim
+    without a number.
     """
     import yaml
 
     path = shipped("experiments") / study / "claims.yaml"
-    entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    entries = yaml.safe_load(path.read_text(encoding="utf-8"))["claims"]
     return {entry["id"]: entry.get("printed") for entry in entries}
 
 

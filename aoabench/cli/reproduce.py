@@ -77,7 +77,8 @@ def reproduce(
       aoabench reproduce --only nurminen2018/fig4,le2021/table1
 
     With --json: `scale`; `results`, the folder; `items`, the computed items with study, item, rows,
-    seconds; `verdicts`, a row for each printed number or claim; `not_computed`, the items without a
+    seconds; `verdicts`, a row for each claim; `readings`, one for each reading of
+    a claim; `not_computed`, the items without a
     table, each with the reason; `page`, its path.
     """
     from aoabench.studies import places

@@ -197,7 +197,8 @@ def studies_json(drawn: Drawn, results: Path) -> dict[str, Any]:
     """Verdicts and files of the studies, as `reproduce` and `report` print them with --json."""
     return {
         "results": results,
-        "verdicts": drawn.verdicts.to_dict("records"),
+        "verdicts": drawn.verdicts.claims.to_dict("records"),
+        "readings": drawn.verdicts.readings.to_dict("records"),
         "not_computed": [
             {"study": study, "item": item, "reason": problem}
             for (study, item), problem in drawn.problems.items()

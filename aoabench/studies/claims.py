@@ -1,171 +1,203 @@
-"""The verdicts on all printed numbers and claims, from the stored tables."""
+"""The claims of a study: what its paper prints, and by which of our numbers each is judged."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from aoabench.errors import UserError
-from aoabench.maths.statistics import Estimate
-from aoabench.report.text import number_text, printed_text
-from aoabench.studies import verdict as verdict_module
-from aoabench.studies.reading import read
-from aoabench.studies.study import Study
-from aoabench.studies.verdict import (
-    IN_KIND,
-    NOT_COMPUTED,
-    NOT_REPRODUCIBLE,
-    REPRODUCED,
-    same_order,
-    undecided,
-)
+import yaml
 
-if TYPE_CHECKING:
-    import pandas as pd
+from aoabench.errors import UserError, did_you_mean
 
-Found = dict[str, tuple[Estimate, float]]  # our numbers by id, with the samples behind each
-VERDICT_COLUMNS = (
-    "study",
-    "item",
-    "id",
-    "what",
-    "printed",
-    "ours",
-    "se",
-    "unit",
-    "verdict",
-    "reason",
-    "claim",
-)
+# Classes of a claim; all but the judged ones with the reason why they are not judged.
+CLASSES = {
+    "number": "",
+    "statement": "",
+    "input": "an input of the simulation",
+    "identity": "holds by construction",
+    "fitted": "a target of our fit",
+    "own": "a diagnostic of ours",
+}
+QUANTIFIERS = ("for all", "exists", "typical")
+CHOSEN = ("paper", "before", "after")  # who set a limit: the paper, or we before or after our result
+BOUNDS = ("above", "at_least", "below", "at_most")
+QUOTED_WORDS = 12  # the longest quotation
 
 
-def verdicts(studies: list[Study], results: Path) -> pd.DataFrame:
-    """A row for each printed number and claim of the studies, its verdict computed from the stored
-    tables.
+@dataclass(frozen=True)
+class Limits:
+    """The values for which a claim is true: from `low` to `high`, each end included or not."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    with_low: bool = True
+    with_high: bool = True
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read a claim: the patterns of the ids of our numbers, and what sets it apart.
+
+    A reading for `robustness` changes what the paper states (another layout); it is shown and not
+    counted.
     """
-    import pandas as pd
 
-    rows = []
-    for study in studies:
-        found: Found = {}
-        problems = {}
-        for item in study.items:
-            reading = read(study, item, results)
-            found |= reading.values
-            problems[item.name] = reading.problem
-        for entry in study.printed:
-            row = _judge(study, entry, found)
-            unread = row["verdict"] == NOT_COMPUTED and problems[entry["item"]]
-            rows.append({**row, "reason": problems[entry["item"]]} if unread else row)
-    return pd.DataFrame(rows, columns=list(VERDICT_COLUMNS))
+    of: tuple[str, ...]
+    columns: Mapping[str, str]
+    robustness: bool = False
+
+    @property
+    def name(self) -> str:
+        """What sets the reading apart, in words; "" for the only reading."""
+        return ", ".join(self.columns.values())
+
+    def ids(self, found: Iterable[str]) -> list[str]:
+        """The ids in `found` that match, in their order there."""
+        return [i for i in found if any(fnmatchcase(i, pattern) for pattern in self.of)]
 
 
-def _judge(study: Study, entry: dict[str, Any], found: Found) -> dict[str, Any]:
-    """The row of one printed number or claim; UserError if its item is not in study.yaml."""
-    if entry["item"] not in {item.name for item in study.items}:
-        raise UserError(
-            f"{study.folder / 'claims.yaml'}: {entry['id']}: "
-            f"item {entry['item']!r} is not in study.yaml"
+@dataclass(frozen=True)
+class Claim:
+    """One printed number or statement, or a number of ours that stands beside it unjudged.
+
+    A number holds within its `rounding` (half a unit of the last printed digit) and `printed_se`
+    (the Monte Carlo error of the print). A statement holds for values `above` or `at_least` one
+    limit and `below` or `at_most` another, for all, some (exists) or most (typical) of a reading's
+    numbers; differences within `tie` count as none. `chosen` names who set the limits.
+    `not_judged` is the reason why a number or statement cannot be judged. `tolerance` is that of a
+    fit.
+    """
+
+    id: str
+    item: str
+    kind: str  # `class` in the file
+    what: str
+    readings: tuple[Reading, ...]
+    where: str = ""
+    quote: str = ""
+    unit: str = ""
+    printed: float | None = None
+    rounding: float = 0.0
+    printed_se: float = 0.0
+    quantifier: str = "for all"
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+    chosen: str = ""
+    tie: float = 0.0
+    tolerance: float | None = None
+    reason: str = ""
+    not_judged: str = ""
+
+    @property
+    def judged(self) -> bool:
+        """Whether the claim can hold or fail, and so counts."""
+        return self.kind in ("number", "statement") and not self.not_judged
+
+    def limits(self, z: float) -> Limits:
+        """The values for which the claim is true; the printed number's own error counts z times."""
+        if self.kind == "number":
+            assert self.printed is not None
+            slack = self.rounding + z * self.printed_se + 1e-9 * abs(self.printed)
+            return Limits(self.printed - slack, self.printed + slack)
+        low = self.above if self.at_least is None else self.at_least
+        high = self.below if self.at_most is None else self.at_most
+        return Limits(
+            -math.inf if low is None else low,
+            math.inf if high is None else high,
+            self.above is None,
+            self.below is None,
         )
-    ours, samples = found.get(entry["id"], (None, math.nan))
-    verdict, reason = _decide(entry, ours, samples, _in_kind(study, entry, found))
-    claim = "claim" in entry
-    number = printed_text(entry.get("printed"), entry.get("rounding", 0.0))
-    return {
-        "study": study.name,
-        "item": entry["item"],
-        "id": entry["id"],
-        "what": entry["what"],
-        "printed": entry.get("says", "") if claim else number,
-        "ours": math.nan if ours is None else ours.value,
-        "se": math.nan if ours is None else ours.se,
-        "unit": entry.get("unit", ""),
-        "verdict": verdict,
-        "reason": reason,
-        "claim": claim,
-    }
 
 
-def _decide(
-    entry: dict[str, Any], ours: Estimate | None, samples: float, in_kind: bool
-) -> tuple[str, str]:
-    """Verdict on our number, which rests on `samples` samples (NaN: none), and the reason."""
-    printed, rounding = _printed(entry), entry.get("rounding", 0.0)
-    strict, z = entry.get("strict", False), entry.get("z", 3.0)
-    se = _printed_se(entry, ours, samples)
-    verdict = verdict_module.verdict(
-        printed, rounding, ours, printed_se=se, in_kind=in_kind, strict=strict, z=z
-    )
-    if ours is None or math.isnan(ours.value):
-        return verdict, ""
-    if math.isnan(ours.se):
-        return verdict, "too few cases for a standard error"
-    reason = entry.get("reason", "") if verdict in (NOT_REPRODUCIBLE, IN_KIND) else ""
-    doubt = undecided(printed, rounding, ours, strict=strict, z=z) if printed is not None else ""
-    if doubt:
-        verdict, reason = NOT_REPRODUCIBLE if verdict == REPRODUCED else verdict, doubt
-    if "tie" in entry and abs(ours.value) + z * ours.se <= entry["tie"]:
-        unit = entry.get("unit", "")
-        return IN_KIND, f"a tie: within ± {entry['tie']:g} {unit}".strip()
-    return verdict, reason
+@dataclass(frozen=True)
+class Claims:
+    """The content of claims.yaml: the claims, and the reasons by patterns of ids why numbers of
+    ours are in none.
+    """
+
+    claims: tuple[Claim, ...]
+    unclaimed: Mapping[str, str]
 
 
-def _printed(entry: dict[str, Any]) -> float | tuple[float, float] | None:
-    """The printed number, the interval (low, high) that the paper claims, or None for neither."""
-    if "claim" not in entry:
-        return entry.get("printed")
-    low, high = entry["claim"]
-    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
+def load(path: Path, items: Iterable[str]) -> Claims:
+    """Read a claims.yaml; UserError names the claim and key that cannot be."""
+    spec = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    known = list(items)
+    claims: dict[str, Claim] = {}
+    for entry in spec.get("claims", []):
+        label = f"{path}: {entry.get('id', 'a claim without id')}"
+        claim = _claim(label, entry)
+        if claim.id in claims:
+            raise UserError(f"{label}: the id occurs twice")
+        if claim.item not in known:
+            raise UserError(f"{label}: item {claim.item!r} is not in study.yaml")
+        claims[claim.id] = claim
+    return Claims(tuple(claims.values()), spec.get("not judged", {}))
 
 
-def _printed_se(entry: dict[str, Any], ours: Estimate | None, samples: float) -> float:
-    """Monte Carlo error of the printed number: ours at the paper's samples; 0 if unknown."""
-    if ours is None or "printed_samples" not in entry or math.isnan(samples):
-        return 0.0
-    return ours.se * (samples / entry["printed_samples"]) ** 0.5
+def _claim(label: str, entry: Mapping[str, Any]) -> Claim:
+    """A claim from its entry in the file."""
+    given = dict(entry)
+    readings = given.pop("readings", None) or [{"of": given.pop("of", given.get("id"))}]
+    robustness = given.pop("robustness", [])
+    if "of" in given:
+        raise UserError(f"{label}: of: belongs into readings where these are given")
+    known = {f.name for f in fields(Claim)} - {"kind"} | {"class", "of", "robustness"}
+    for key in entry:
+        if key not in known:
+            hint = did_you_mean(key, known) or f"; allowed: {', '.join(sorted(known))}"
+            raise UserError(f"{label}: unknown key {key!r}{hint}")
+    given["kind"] = given.pop("class", None)
+    missing = [key for key in ("id", "item", "what") if key not in given]
+    if missing:
+        raise UserError(f"{label}: {', '.join(missing)} missing")
+    every = [(r, False) for r in readings] + [(r, True) for r in robustness]
+    given["readings"] = tuple(_reading(label, r, beyond) for r, beyond in every)
+    claim = Claim(**given)
+    fault = _fault(claim)
+    if fault:
+        raise UserError(f"{label}: {fault}")
+    return claim
 
 
-def _in_kind(study: Study, entry: dict[str, Any], found: Found) -> bool:
-    """Whether our numbers of the entry's group stand in the order of the printed ones."""
-    group = [e for e in study.printed if e.get("group") and e.get("group") == entry.get("group")]
-    ours = [found[e["id"]][0].value for e in group if e["id"] in found]
-    if not group or len(ours) < len(group):
-        return False
-    return same_order([e["printed"] for e in group], ours)
+def _reading(label: str, entry: Mapping[str, Any], robustness: bool) -> Reading:
+    """A reading from its entry; all keys but `of` are its columns."""
+    of = entry.get("of")
+    patterns = (of,) if isinstance(of, str) else tuple(of or ())
+    if not patterns:
+        raise UserError(f"{label}: a reading needs `of`, the ids of our numbers")
+    columns = {key: f"{value}" for key, value in entry.items() if key != "of"}
+    return Reading(patterns, columns, robustness)
 
 
-def verdict_text(rows: pd.DataFrame) -> str:
-    """The verdicts as lines for a terminal."""
-    if not len(rows):
-        return "no printed numbers"
-    shown = [
-        (
-            r["study"],
-            r["item"],
-            r["what"],
-            r["printed"],
-            f"{number_text(r['ours'], r['se'])} {r['unit']}".strip(),
-            r["verdict"] + (" (undecided)" if r["reason"].startswith("undecided") else ""),
-        )
-        for r in rows.to_dict("records")
-    ]
-    head = ("study", "item", "quantity", "printed", "ours ± s.e.", "verdict")
-    widths = [max(len(str(line[i])) for line in [head, *shown]) for i in range(len(head))]
-    lines = [
-        "  ".join(str(cell).ljust(w) for cell, w in zip(line, widths)).rstrip()
-        for line in [head, *shown]
-    ]
-    counts = rows["verdict"].value_counts()
-    open_ = int(rows["reason"].str.startswith("undecided").sum())
-    total = ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
-    total += f" ({open_} of these undecided: more replications are needed)" if open_ else ""
-    return "\n".join(
-        [
-            lines[0],
-            "-" * len(lines[0]),
-            *lines[1:],
-            "",
-            f"{len(rows)} printed numbers and claims: {total}",
-        ]
-    )
+def _fault(claim: Claim) -> str:
+    """Why a claim cannot be as it is written; "" if it can."""
+    bounds = [key for key in BOUNDS if getattr(claim, key) is not None]
+    if claim.kind not in CLASSES:
+        return f"class {claim.kind!r}; allowed: {', '.join(CLASSES)}"
+    if claim.quantifier not in QUANTIFIERS:
+        return f"quantifier {claim.quantifier!r}; allowed: {', '.join(QUANTIFIERS)}"
+    if len(claim.quote.split()) > QUOTED_WORDS:
+        return f"quote: {len(claim.quote.split())} words; allowed: at most {QUOTED_WORDS}"
+    if claim.kind in ("number", "statement") and not (claim.where and claim.quote):
+        return "where and quote: needed, as the claim is the paper's"
+    if claim.kind == "number" and (claim.printed is None or bounds):
+        return "printed: needed for a number, and no limits beside it"
+    if claim.kind == "statement":
+        if not bounds and not claim.not_judged:
+            return f"limits: one of {', '.join(BOUNDS)} is needed for a statement"
+        if bounds and claim.chosen not in CHOSEN:
+            return f"chosen {claim.chosen!r}: who set the limits; allowed: {', '.join(CHOSEN)}"
+    if len({"above", "at_least"} & set(bounds)) == 2 or len({"below", "at_most"} & set(bounds)) == 2:
+        return "limits: above excludes at_least, and below excludes at_most"
+    if claim.kind == "fitted" and (claim.printed is None or not claim.tolerance):
+        return "printed and tolerance: needed for a target of the fit"
+    if len({r.name for r in claim.readings}) < len(claim.readings):
+        return "readings: two have the same columns"
+    return ""

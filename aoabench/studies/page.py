@@ -8,39 +8,31 @@ import json
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aoabench.errors import RunError
 from aoabench.maths.digest import flatten
-from aoabench.report.text import number_text
+from aoabench.report.text import interval_text, number_text
 from aoabench.store.files import read_provenance, read_table, write_atomically
 from aoabench.studies.places import Places
-from aoabench.studies.reading import OTHER_VERSION, read
-from aoabench.studies.study import Study, figure_path, table_path
-from aoabench.studies.verdict import (
-    IN_KIND,
-    NOT_COMPUTED,
-    NOT_PRINTED,
-    NOT_REPRODUCIBLE,
-    REPRODUCED,
-)
-
-if TYPE_CHECKING:
-    import pandas as pd
+from aoabench.studies.statements import Verdicts, headline
+from aoabench.studies.stored import OTHER_VERSION, read
+from aoabench.studies.study import Study, figure_path
+from aoabench.studies.verdict import DEPENDS, FAILS, HOLDS, NOT_JUDGED, UNDECIDED
 
 BENCH = ("what", "detail", "value", "unit", "target", "how")
 VERDICTS = {
-    REPRODUCED: "good",
-    IN_KIND: "kind",
-    NOT_REPRODUCIBLE: "bad",
-    NOT_PRINTED: "soft",
-    NOT_COMPUTED: "soft",
+    HOLDS: "good",
+    DEPENDS: "kind",
+    FAILS: "bad",
+    UNDECIDED: "soft",
+    NOT_JUDGED: "soft",
 }  # each with its class in the style sheet
 
 
 def write(
     everything: list[Study],
-    verdicts: pd.DataFrame,
+    verdicts: Verdicts,
     places: Places,
     problems: Mapping[tuple[str, str], str] | None = None,
 ) -> Path:
@@ -57,18 +49,20 @@ def write(
         undefined=jinja2.StrictUndefined,
     )
     rows: list[dict[str, Any]] = [
-        {str(k): v for k, v in row.items()} for row in verdicts.to_dict("records")
+        {str(k): v for k, v in row.items()} for row in verdicts.claims.to_dict("records")
     ]
     for row in rows:
-        row["ours_text"] = number_text(row["ours"], row["se"])
+        row["ours_text"] = interval_text(row["ours"], row["low"], row["high"])
+        row["claim"] = row["class"] == "statement"
         row["ours_sort"] = "" if row["ours"] != row["ours"] else f"{row['ours']:.6g}"
     ordered = sorted(
-        everything, key=lambda s: not s.printed
+        everything, key=lambda s: not s.claims
     )  # a leaderboard has no printed numbers and comes last
     html = environment.get_template("page.html.j2").render(
         studies=[_study(s, rows, places, problems or {}) for s in ordered],
         rows=rows,
-        counts=verdicts["verdict"].value_counts().to_dict(),
+        counts=verdicts.claims["verdict"].value_counts().to_dict(),
+        headline=headline(verdicts.claims),
         classes=VERDICTS,
         bench=_bench(places.bench / "bench.parquet"),
         script=(Path(__file__).parent / "page.js").read_text(encoding="utf-8"),
@@ -88,12 +82,12 @@ def _study(
     items = []
     found: dict[str, Any] = {}
     for item in study.items:
-        reading = read(study, item, places.results)
-        found |= reading.values
-        problem = reading.problem or problems.get((study.name, item.name), "").partition(" (")[0]
+        content = read(study, item, places.results)
+        found |= content.values
+        problem = content.problem or problems.get((study.name, item.name), "").partition(" (")[0]
         figure = figure_path(places.drawn, study, item)
-        good = reading.stored and not problem
-        origin = read_provenance(table_path(places.results, study, item)) if good else {}
+        good = content.present and not problem
+        origin = content.origin if good else {}
         scale = f" --scale {origin['scale']}" if origin.get("scale", "quick") != "quick" else ""
         items.append(
             {
@@ -104,7 +98,7 @@ def _study(
                 if problem
                 else "Not computed.",
                 "image": embedded(figure) if good and item.figure and figure.exists() else "",
-                "shown": None if reading.shown is None else reading.shown.to_dict("split"),
+                "shown": None if content.shown is None else content.shown.to_dict("split"),
                 "rows": [r for r in rows if r["study"] == study.name and r["item"] == item.name],
                 "made": _made(origin),
                 "settings": _settings(origin.get("config")) + _machine(origin),

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
@@ -23,12 +23,10 @@ from aoabench.errors import UserError
 from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
 from aoabench.store.fixes import Fixes, fixes, steps
-from aoabench.studies import claims, page, progress, reading, study
+from aoabench.studies import page, progress, statements, stored, study
 from aoabench.studies.choice import Pair, cheapest_first, chosen
 from aoabench.studies.places import Places
-
-if TYPE_CHECKING:
-    import pandas as pd
+from aoabench.studies.statements import Verdicts
 
 Echo = Callable[[str], None]
 _READERS = {"fixes": fixes, "steps": steps}
@@ -36,11 +34,11 @@ _READERS = {"fixes": fixes, "steps": steps}
 
 @dataclass(frozen=True)
 class Drawn:
-    """Result of `draw`: the verdicts of the chosen items (see `claims.verdicts`), the reason by
-    (study, item) why a table cannot be used ("" if it can), and the path of the page.
+    """Result of `draw`: the verdicts on the chosen items, the reason by (study, item) why a table
+    cannot be used ("" if it can), and the path of the page.
     """
 
-    verdicts: pd.DataFrame
+    verdicts: Verdicts
     problems: dict[tuple[str, str], str]
     page: Path
 
@@ -149,8 +147,8 @@ def draw(
     lists the items without a table. Raises UserError if there is no table at all.
     """
     pairs = chosen(names, None, all_studies())
-    stored = {id(i): study.table_path(places.results, s, i).exists() for s, i in pairs}
-    if not any(stored.values()) and not any((places.results / "tables").glob("*.parquet")):
+    present = {id(i): study.table_path(places.results, s, i).exists() for s, i in pairs}
+    if not any(present.values()) and not any((places.results / "tables").glob("*.parquet")):
         raise UserError(
             f"{places.results / 'tables'}: no tables here; allowed: a folder that `aoabench "
             "reproduce` wrote"
@@ -158,7 +156,7 @@ def draw(
     writable(str(places.drawn / "figures"), "--results")
     problems = {(s.name, i.name): _drawn(s, i, places, echo, formats) for s, i in pairs}
     for s in {s.name: s for s, _ in pairs}.values():
-        absent = [item.name for item in s.items if not stored[id(item)]]
+        absent = [item.name for item in s.items if not present[id(item)]]
         if absent:
             echo(f"{s.name}: not computed: {', '.join(absent)}; aoabench reproduce {s.name}")
     return _conclude(pairs, problems, places, echo)
@@ -168,8 +166,8 @@ def _drawn(
     s: study.Study, item: study.Item, places: Places, echo: Echo, formats: Sequence[str]
 ) -> str:
     """Draw an item and return the reason why its table cannot be used, or ""."""
-    problem = reading.draw(s, item, places, tuple(formats))
-    problem = problem or reading.read(s, item, places.results).problem
+    problem = stored.draw(s, item, places, tuple(formats))
+    problem = problem or stored.read(s, item, places.results).problem
     if problem:
         again = f"aoabench reproduce {s.name} --only {item.name}"
         echo(f"{s.name} {item.name}: not computed: {problem}; {again}")
@@ -181,15 +179,15 @@ def _conclude(
 ) -> Drawn:
     """Write verdicts and page of all studies, and print the verdicts of the chosen items."""
     everything = [study.load(name) for name in all_studies()]
-    verdicts = claims.verdicts(everything, places.results)
-    if len(verdicts):  # without the time, so that equal verdicts are equal files
-        same = {key: value for key, value in provenance().items() if key != "time"}
-        write_frame(places.drawn / "report" / "verdicts.parquet", verdicts, same)
+    verdicts = statements.verdicts(everything, places.results)
+    # without the time, so that equal verdicts are equal files
+    same = {key: value for key, value in provenance().items() if key != "time"}
+    write_frame(places.drawn / "report" / "verdicts.parquet", verdicts.claims, same)
+    write_frame(places.drawn / "report" / "readings.parquet", verdicts.readings, same)
     html = page.write(everything, verdicts, places, problems)
-    asked = {(s.name, item.name) for s, item in pairs}
-    mine = verdicts[[pair in asked for pair in zip(verdicts["study"], verdicts["item"])]]
+    mine = verdicts.of({(s.name, item.name) for s, item in pairs})
     echo("")
-    echo(claims.verdict_text(mine))
+    echo(statements.verdict_text(mine.claims))
     echo(f"tables   {places.results / 'tables'}")
     echo(f"figures  {places.drawn / 'figures'}")
     echo(f"page     {html}")

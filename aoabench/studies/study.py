@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -13,6 +14,8 @@ from typing import Any
 import yaml
 
 from aoabench.resources import shipped
+from aoabench.studies import claims
+from aoabench.studies.claims import Claim
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,8 @@ class Item:
     # input of its function: replications (a tidy frame), or fixes or steps ((cell, {estimator:
     # store.fixes.Fixes}) each)
     reads: str = "replications"
+    judged_at: str = "paper"  # the scale that its claims need: paper, or any
+    basis: str = ""  # what the claims on it rest on, shown beside each verdict
 
     def expected_s(self, scale: str) -> float:
         """About how many seconds the item takes at a scale."""
@@ -45,9 +50,10 @@ class Study:
     title: str
     cite: str
     items: tuple[Item, ...]
-    printed: tuple[dict[str, Any], ...]
+    claims: tuple[Claim, ...]
     errata: tuple[dict[str, Any], ...]
     schematic: str = ""
+    unclaimed: Mapping[str, str] = field(default_factory=dict)  # see claims.Claims
 
     @property
     def numbers(self) -> ModuleType:
@@ -77,9 +83,17 @@ def load(name: str) -> Study:
 
     spec = read("study.yaml")
     items = tuple(Item(name=key, **fields) for key, fields in spec["items"].items())
-    printed, errata = tuple(read("claims.yaml")), tuple(read("errata.yaml"))
+    found = claims.load(folder / "claims.yaml", spec["items"])
     return Study(
-        name, folder, spec["title"], spec["cite"], items, printed, errata, spec.get("schematic", "")
+        name,
+        folder,
+        spec["title"],
+        spec["cite"],
+        items,
+        found.claims,
+        tuple(read("errata.yaml")),
+        spec.get("schematic", ""),
+        found.unclaimed,
     )
 
 

@@ -1,96 +1,141 @@
-"""The verdict on one printed number or claim, computed from the numbers alone."""
+"""Verdicts, computed from the numbers alone.
+
+A claim holds where the whole interval of our number lies within its limits, fails where the
+interval lies outside, and is undecided otherwise: a wider interval never makes it hold.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import ArrayLike
-
+from aoabench.maths.intervals import normal_quantile
 from aoabench.maths.statistics import Estimate
+from aoabench.studies.claims import Limits
 
-REPRODUCED = "reproduced"
+HOLDS = "holds"
+FAILS = "fails"
+UNDECIDED = "undecided"
+NOT_JUDGED = "not judged"
+DEPENDS = "depends"  # of a statement alone: some of its readings hold, and some fail
 
-
-IN_KIND = "reproduced in kind"
-
-
-NOT_REPRODUCIBLE = "not reproducible"
-
-
-NOT_PRINTED = "not printed"
-
-
-NOT_COMPUTED = "not computed"
+LEVEL = 0.997  # of all intervals of a reading together
+POWER = 0.8
 
 
-def verdict(
-    printed: float | tuple[float, float] | None,
-    rounding: float,
-    ours: Estimate | None,
-    *,
-    printed_se: float = 0.0,
-    in_kind: bool = False,
-    strict: bool = False,
-    z: float = 3.0,
-) -> str:
-    """The verdict on one printed number or claim, from the numbers alone.
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict on one reading of a claim.
 
-    `printed` is a number, known to +- `rounding` (half a unit of its last digit), or an interval
-    that the paper claims (low, high); `printed_se` is the printed number's own Monte Carlo error,
-    where its sample size is known. "reproduced" means that our number lies in the printed interval,
-    widened by z standard errors. For a claim with `strict`, our number must lie inside by z
-    standard errors, so that chance alone does not confirm the claim. `in_kind` states whether
-    ordering or shape holds. With z = 3 a true number is missed with probability below 0.3 %. A
-    number whose standard error is NaN is "not computed". A standard error of exactly 0 belongs to a
-    closed form.
+    `decisive` is the position, among the reading's numbers, of the one that decides; `interval` is
+    its interval at the level of all of them together. A limit outside `flips` would not change the
+    verdict of a claim that holds. `shows` is the smallest difference from a limit that this number
+    of replications shows with probability POWER. `more` is the factor by which an undecided claim
+    needs more replications (NaN: decided).
     """
-    if ours is None or math.isnan(ours.value) or math.isnan(ours.se):
-        return NOT_COMPUTED
-    if printed is None:
-        return NOT_PRINTED
-    low, high = printed if isinstance(printed, tuple) else (printed - rounding, printed + rounding)
-    slack = z * math.hypot(ours.se, printed_se)
-    tolerance = 1e-9 * max(
-        abs(low) if math.isfinite(low) else 0, abs(high) if math.isfinite(high) else 0
-    )
-    if strict:
-        slack = -slack
-    if strict and ours.value in (
-        low,
-        high,
-    ):  # on the bound is not inside, even for a standard error of 0
-        return IN_KIND if in_kind else NOT_REPRODUCIBLE
-    if low - slack - tolerance <= ours.value <= high + slack + tolerance:
-        return REPRODUCED
-    return IN_KIND if in_kind else NOT_REPRODUCIBLE
+
+    word: str
+    decisive: int
+    interval: tuple[float, float]
+    flips: tuple[float, float]
+    shows: float
+    more: float
+    ties: int = 0
 
 
-def undecided(
-    printed: Any, rounding: float, ours: Estimate, *, strict: bool = False, z: float = 3.0
-) -> str:
-    """The reason why a verdict rests on too few replications; "" if it rests on enough.
+def word(limits: Limits, interval: tuple[float, float]) -> str:
+    """Whether a number with this interval holds, fails or is undecided."""
+    low, high = interval
+    if math.isnan(low) or math.isnan(high):
+        return UNDECIDED
+    above = low >= limits.low if limits.with_low else low > limits.low
+    below = high <= limits.high if limits.with_high else high < limits.high
+    if above and below:
+        return HOLDS
+    under = high < limits.low or (high == limits.low and not limits.with_low)
+    over = low > limits.high or (low == limits.high and not limits.with_high)
+    return FAILS if under or over else UNDECIDED
 
-    A strict claim is undecided while our number lies within z standard errors of its bound; a
-    number, while z standard errors exceed five times its rounding, unless ours clearly differs from
-    it.
+
+def judge(
+    numbers: Sequence[Estimate], limits: Limits, quantifier: str = "for all", tie: float = 0.0
+) -> Judgement:
+    """The verdict on the numbers (at least one) of a reading.
+
+    Each number has an interval at the level LEVEL of all together (Bonferroni). `for all` holds if
+    each number does and fails if one does; `exists` holds if one does and fails if each does;
+    `typical` needs more than half for either. Numbers whose interval lies within +- `tie` count
+    neither way; if all are, the reading is undecided.
     """
-    slack = z * ours.se
-    if strict and isinstance(printed, tuple):
-        low, high = printed
-        outside = ours.value + slack < low or ours.value - slack > high
-        inside = low + slack <= ours.value <= high - slack
-        return "" if inside or outside else f"undecided: within {z:g} standard errors of the bound"
-    if rounding > 0 and slack > 5 * rounding and abs(ours.value - printed) <= rounding + slack:
-        return "undecided: the standard error is too large for the printed digits"
-    return ""
-
-
-def same_order(printed: ArrayLike, ours: ArrayLike) -> bool:
-    """Whether our numbers are finite and have the order of the printed ones, where these differ."""
-    p, o = np.asarray(printed, dtype=float), np.asarray(ours, dtype=float)
-    i, j = np.triu_indices(len(p), 1)
-    return bool(np.all(np.sign(p[i] - p[j]) * np.sign(o[i] - o[j]) >= 0)) and bool(
-        np.all(np.isfinite(o))
+    confidence = 1 - (1 - LEVEL) / len(numbers)
+    intervals = [_interval(e, confidence) for e in numbers]
+    tied = [max(-low, high) <= tie if tie else False for low, high in intervals]
+    counted = [i for i, t in enumerate(tied) if not t] or list(range(len(numbers)))
+    words = ["" if all(tied) else word(limits, intervals[i]) for i in counted]
+    found = _quantified(words, quantifier)
+    order = sorted(counted, key=lambda i: _margin(limits, intervals[i], numbers[i].value))
+    place = {"for all": 0, "exists": -1, "typical": (len(order) - 1) // 2}[quantifier]
+    at = order[place]
+    decisive, (low, high) = numbers[at], intervals[at]
+    hull = [intervals[i] for i in counted] if quantifier == "for all" else [(low, high)]
+    z = normal_quantile(confidence)
+    power = normal_quantile(2 * POWER - 1)  # one-sided
+    half = (high - low) / 2
+    return Judgement(
+        found,
+        at,
+        (low, high),
+        (min(a for a, _ in hull), max(b for _, b in hull)),
+        half * (1 + power / z),
+        _more(limits, decisive.value, half) if found == UNDECIDED else math.nan,
+        sum(tied),
     )
+
+
+def together(words: Iterable[str]) -> str:
+    """The verdict on a claim from those on its readings: one that fails in some and holds in others
+    depends on the reading.
+    """
+    seen = set(words) - {NOT_JUDGED}
+    if not seen:
+        return NOT_JUDGED
+    if {HOLDS, FAILS} <= seen:
+        return DEPENDS
+    return UNDECIDED if UNDECIDED in seen else seen.pop()
+
+
+def _interval(estimate: Estimate, confidence: float) -> tuple[float, float]:
+    """The interval of a number; for a closed form (standard error 0) the number itself."""
+    if estimate.se == 0:
+        return estimate.value, estimate.value
+    return estimate.interval(confidence)
+
+
+def _quantified(words: Sequence[str], quantifier: str) -> str:
+    holds, fails = words.count(HOLDS), words.count(FAILS)
+    enough = {"for all": len(words), "exists": 1, "typical": len(words) // 2 + 1}[quantifier]
+    if holds >= enough:
+        return HOLDS
+    return FAILS if fails > len(words) - enough else UNDECIDED
+
+
+def _margin(limits: Limits, interval: tuple[float, float], value: float) -> float:
+    """How far an interval lies within the limits (negative: outside, or across), in its
+    half-widths where it has one.
+    """
+    low, high = interval
+    if math.isnan(low):
+        return -math.inf
+    inside = min(low - limits.low, limits.high - high)
+    half = (high - low) / 2
+    return inside / half if half > 0 and math.isfinite(inside) else inside
+
+
+def _more(limits: Limits, value: float, half: float) -> float:
+    """The factor in replications at which the interval would not reach the nearest limit."""
+    distance = min(abs(value - limits.low), abs(value - limits.high))
+    if math.isnan(half) or math.isnan(distance):
+        return math.nan
+    ratio = half / distance if distance > 0 else math.inf
+    return ratio * ratio

@@ -7,7 +7,7 @@ import pytest
 
 from aoabench.studies import reproduce as reproducing
 
-KEYS = {"schema", "results", "verdicts", "not_computed", "page"}
+KEYS = {"schema", "results", "verdicts", "readings", "not_computed", "page"}
 
 
 @pytest.fixture
@@ -44,4 +44,4 @@ def test_json_and_quiet(call, tmp_path, one_item):
     assert call("report", "--results", tmp_path, "--quiet") == (0, "", "")
     status, out, _ = call("report", "--results", tmp_path)
     assert status == 0
-    assert "printed numbers and claims" in out
+    assert "statements that can fail" in out

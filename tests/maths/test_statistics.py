@@ -1,4 +1,4 @@
-"""Standard errors and intervals by simulation, verdicts on made-up numbers.
+"""Standard errors and intervals by simulation.
 
 Simulations use fixed seeds; the tolerance on a standard error's mean is 4 of its own Monte Carlo
 errors or as stated.
@@ -16,7 +16,6 @@ from aoabench.columns import IDENTITY, SUMMARY
 from aoabench.maths import intervals, statistics
 from aoabench.maths.statistics import Estimate
 from aoabench.store.summary import QUANTILES, Clusters, position_sums, summarise
-from aoabench.studies.verdict import same_order, undecided, verdict
 
 
 def spread(estimator, draw, repeats=2000, seed=1):
@@ -208,90 +207,6 @@ def test_equal_values_show_no_difference():
     pair = statistics.paired([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
     assert pair.difference == Estimate(0.0, 0.0)
     assert pair.p_value == 1.0
-
-
-@pytest.mark.parametrize(("expected", "arguments", "options"), [
-    ("reproduced", (0.33, 0.005, Estimate(0.333, 0.0001)), {}),
-    ("reproduced", (0.33, 0.005, Estimate(0.335, 0.0)), {}),
-    ("reproduced", (0.33, 0.005, Estimate(0.337, 0.001)), {}),
-    ("not reproducible", (0.33, 0.005, Estimate(0.339, 0.001)), {}),
-    ("reproduced in kind", (0.33, 0.005, Estimate(0.339, 0.001)), {"in_kind": True}),
-    ("reproduced", (0.33, 0.005, Estimate(0.339, 0.001)), {"printed_se": 0.002}),
-    ("not reproducible", (21.0, 0.5, Estimate(19.8, 0.05)), {}),
-    ("not printed", (None, 0.0, Estimate(1.0, 0.1)), {}),
-    ("not computed", (1.0, 0.1, None), {}),
-    ("not computed", (1.0, 0.1, Estimate(math.nan, math.nan)), {}),
-    ("not computed", (None, 0.0, None), {}),
-    ("reproduced", ((0.0, math.inf), 0.0, Estimate(4.0, 1.0)), {"strict": True}),
-    ("not reproducible", ((0.0, math.inf), 0.0, Estimate(2.0, 1.0)), {"strict": True}),
-    ("not reproducible", ((0.0, math.inf), 0.0, Estimate(-4.0, 1.0)), {"strict": True}),
-    ("reproduced", ((-math.inf, 0.0), 0.0, Estimate(-4.0, 1.0)), {"strict": True}),
-    ("reproduced", ((0.0, 0.0), 0.0, Estimate(-2.0, 1.0)), {}),
-    ("not reproducible", ((0.0, 0.0), 0.0, Estimate(-4.0, 1.0)), {}),
-    ("not computed", (10.0, 0.5, Estimate(10.4, math.nan)), {}),
-    ("not computed", ((0.0, math.inf), 0.0, Estimate(10.4, math.nan)), {"strict": True}),
-])  # fmt: skip
-def test_verdicts(expected, arguments, options):
-    assert verdict(*arguments, **options) == expected
-
-
-def test_undecided_is_said():
-    claim = (0.0, math.inf)
-    assert undecided(claim, 0.0, Estimate(0.5, 0.3), strict=True)
-    assert not undecided(claim, 0.0, Estimate(1.5, 0.3), strict=True)
-    assert not undecided(claim, 0.0, Estimate(-1.5, 0.3), strict=True)
-    assert undecided(0.13, 0.005, Estimate(0.9, 0.5))
-    assert not undecided(0.13, 0.005, Estimate(0.131, 0.001))
-    assert not undecided(2.3, 0.05, Estimate(8.7, 0.3)), "clearly another one"
-
-
-@pytest.mark.parametrize(
-    ("expected", "value", "se", "z"),
-    [
-        (True, 0.13, 0.00834, 3.0),  # z se = 0.02502: above five times 0.005
-        (False, 0.13, 0.00833, 3.0),
-        (True, 0.13, 0.01251, 2.0),
-        (False, 0.13, 0.01249, 2.0),
-        (True, 0.1649, 0.01, 3.0),  # 0.0349 off: within the rounding and z se
-        (False, 0.1651, 0.01, 3.0),
-        (True, 0.0951, 0.01, 3.0),
-        (False, 0.0949, 0.01, 3.0),
-    ],
-)
-def test_a_number_is_undecided_beyond_five_times_its_rounding(expected, value, se, z):
-    assert bool(undecided(0.13, 0.005, Estimate(value, se), z=z)) is expected
-
-
-@pytest.mark.parametrize(
-    ("expected", "value", "z"),
-    [
-        (True, 0.29, 3.0),
-        (False, 0.31, 3.0),
-        (True, -0.29, 3.0),
-        (False, -0.31, 3.0),
-        (True, 0.39, 4.0),
-        (True, 0.71, 3.0),
-        (False, 0.69, 3.0),
-    ],
-)
-def test_a_strict_claim_is_undecided_within_z_standard_errors_of_a_bound(expected, value, z):
-    assert bool(undecided((0.0, 1.0), 0.0, Estimate(value, 0.1), strict=True, z=z)) is expected
-
-
-def test_a_true_number_is_seldom_missed():
-    """Printed 0.33 from a true 0.3349: the rule misses it in fewer than 0.3 % of 20 000 samples."""
-    rng = np.random.default_rng(9)
-    missed = [
-        verdict(0.33, 0.005, Estimate(v, 0.001)) != "reproduced"
-        for v in rng.normal(0.3349, 0.001, 20_000)
-    ]
-    assert np.mean(missed) < 0.003
-
-
-def test_same_order_lets_ties_in_print_stand_either_way():
-    assert same_order([1, 2, 2, 3], [0.1, 0.25, 0.2, 0.3])
-    assert not same_order([1, 2, 3], [1, 3, 2])
-    assert not same_order([1, 2], [1, math.nan])
 
 
 def test_summary_of_replications():

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aoabench.errors import RunError, WriteError
 from aoabench.maths.statistics import Estimate
-from aoabench.store.files import read_table
+from aoabench.store.files import read_provenance, read_table
 
 from aoabench.studies.places import Places
 from aoabench.studies.study import Item, Study, figure_path, table_path
@@ -58,29 +59,44 @@ def draw(study: Study, item: Item, places: Places, formats: tuple[str, ...] = ("
 
 
 @dataclass(frozen=True)
-class Reading:
+class Stored:
     """The content of an item's stored table."""
 
-    stored: bool
+    present: bool
     values: dict[
         str, tuple[Estimate, float]
     ]  # by id, with the samples they rest on (NaN: not sampled)
     shown: pd.DataFrame | None = None  # texts to show as a table, where figures.py has NAME_table
     problem: str = ""  # why a stored table cannot be read
+    origin: Mapping[str, Any] = field(default_factory=dict)  # its provenance
+
+    @property
+    def scale(self) -> str:
+        """The scale at which the table was computed; "" if it does not say."""
+        return str(self.origin.get("scale", ""))
+
+    @property
+    def reps(self) -> float:
+        """The largest number of replications behind the table; NaN if it does not say."""
+        config = self.origin.get("config")
+        cells = config.get("cells", []) if isinstance(config, dict) else []
+        return max((float(cell["reps"]) for cell in cells if "reps" in cell), default=float("nan"))
 
 
-def read(study: Study, item: Item, results: Path) -> Reading:
+def read(study: Study, item: Item, results: Path) -> Stored:
     """Read an item's stored table; for a table of another version, only `problem` is set."""
-    if not table_path(results, study, item).exists():
-        return Reading(False, {})
+    path = table_path(results, study, item)
+    if not path.exists():
+        return Stored(False, {})
     try:
         frame = table(results, study, item)
+        origin = read_provenance(path)
         found: dict[str, Any] = getattr(study.figures, f"{item.name}_values", lambda _: {})(frame)
         shown = getattr(study.figures, f"{item.name}_table", lambda _: None)(frame)
     except _UNFIT:
-        return Reading(True, {}, problem=OTHER_VERSION)
+        return Stored(True, {}, problem=OTHER_VERSION)
     pairs = {
         key: value if isinstance(value, tuple) else (value, float("nan"))
         for key, value in found.items()
     }
-    return Reading(True, pairs, shown)
+    return Stored(True, pairs, shown, origin=origin)

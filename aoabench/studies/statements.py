@@ -1,0 +1,231 @@
+"""The verdicts on all claims of the studies, from the stored tables: a row for each claim, and a
+row for each of its readings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aoabench.maths.intervals import normal_quantile
+from aoabench.maths.statistics import Estimate
+from aoabench.report.text import interval_text, printed_text
+from aoabench.studies import stored, verdict
+from aoabench.studies.claims import CLASSES, Claim, Reading
+from aoabench.studies.study import Item, Study
+from aoabench.studies.verdict import DEPENDS, FAILS, HOLDS, NOT_JUDGED, UNDECIDED
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+NOT_COMPUTED = "not computed"
+OTHER_SCALE = "not judged at this scale"
+WORDS = (HOLDS, DEPENDS, FAILS, UNDECIDED, NOT_JUDGED)
+BEYOND = 10.0  # times the table's replications: an undecided claim that needs more is listed apart
+JUDGED = {
+    "study": str, "item": str, "id": str, "class": str, "quantifier": str, "what": str,
+    "where": str, "quote": str, "printed": str, "ours": float, "se": float, "low": float,
+    "high": float, "unit": str, "verdict": str, "reason": str, "readings": str, "robustness": str,
+    "chosen": str, "flips": str, "shows": float, "needed": float, "basis": str, "counts": bool,
+}  # fmt: skip
+READ = {
+    "study": str, "item": str, "id": str, "reading": str, "robustness": bool, "number": str, "numbers": int,
+    "ours": float, "se": float, "low": float, "high": float, "unit": str, "verdict": str,
+    "reason": str, "flips": str, "shows": float, "needed": float,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """The verdicts on the claims of some studies: `claims` has a row for each claim with the columns
+    JUDGED, `readings` one for each reading with the columns READ.
+    """
+
+    claims: pd.DataFrame
+    readings: pd.DataFrame
+
+    def of(self, asked: Container[tuple[str, str]]) -> Verdicts:
+        """Those on the items `asked`, pairs of study and item."""
+        frames = (self.claims, self.readings)
+        kept = ([pair in asked for pair in zip(f["study"], f["item"])] for f in frames)
+        return Verdicts(*(f[k] for f, k in zip(frames, kept)))
+
+
+def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
+    """The verdicts on the claims of the studies, from the tables under `results`."""
+    import pandas as pd
+
+    claims, readings = [], []
+    for study in studies:
+        contents = {item.name: stored.read(study, item, results) for item in study.items}
+        for claim in study.claims:
+            item = next(i for i in study.items if i.name == claim.item)
+            found = [_read(claim, r, item, contents[item.name]) for r in claim.readings]
+            claims.append({"study": study.name, **_row(claim, item, found)})
+            readings += [{"study": study.name, **row, "item": item.name, "id": claim.id} for row in found]
+    return Verdicts(
+        pd.DataFrame(claims, columns=list(JUDGED)), pd.DataFrame(readings, columns=list(READ))
+    )
+
+
+def _read(claim: Claim, reading: Reading, item: Item, content: stored.Stored) -> dict[str, Any]:
+    """The row of one reading of a claim."""
+    row: dict[str, Any] = dict.fromkeys(READ, math.nan)
+    row |= {"reading": reading.name, "robustness": reading.robustness, "unit": claim.unit}
+    row |= {"number": "", "numbers": 0, "verdict": NOT_JUDGED, "flips": "", "reason": ""}
+    ids = reading.ids(content.values)
+    if not ids:
+        return row | {"reason": content.problem or NOT_COMPUTED}
+    numbers = [content.values[i][0] for i in ids]
+    limits = claim.limits(normal_quantile(verdict.LEVEL))
+    found = verdict.judge(numbers, limits, claim.quantifier, claim.tie)
+    mine = numbers[found.decisive]
+    low, high = found.interval
+    row |= {"number": ids[found.decisive], "numbers": len(ids), "ours": mine.value, "se": mine.se}
+    row |= {"low": low, "high": high}
+    if not claim.judged:
+        return row | {"reason": _unjudged(claim, mine)}
+    if content.scale != "paper" and item.judged_at != "any":
+        return row | {"reason": OTHER_SCALE}
+    samples = content.values[ids[found.decisive]][1]
+    count = samples if samples == samples else content.reps
+    ties = "a tie" if len(ids) == 1 else f"{found.ties} of {len(ids)} are ties"
+    return row | {
+        "verdict": found.word,
+        "reason": _undecided(mine, found, count) if found.word == UNDECIDED else
+        f"{ties} (within ± {claim.tie:g} {claim.unit})".replace(" )", ")") if found.ties else "",
+        "flips": _flips(claim, found) if found.word == HOLDS else "",
+        "shows": found.shows,
+        "needed": found.more * count,
+    }  # fmt: skip
+
+
+def _row(claim: Claim, item: Item, found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The row of a claim from the rows of its readings."""
+    own = [row for row in found if not row["robustness"]]
+    shown = own[0]
+    word = verdict.together(row["verdict"] for row in own)
+    reasons = dict.fromkeys(row["reason"] for row in own if row["reason"])
+    explained = claim.reason if word in (FAILS, DEPENDS) else ""
+    number = printed_text(claim.printed, claim.rounding) if claim.printed is not None else ""
+    needed = [row["needed"] for row in own if row["needed"] == row["needed"]]
+    return {
+        "item": claim.item,
+        "id": claim.id,
+        "class": claim.kind,
+        "quantifier": claim.quantifier if claim.kind == "statement" else "",
+        "what": claim.what,
+        "where": claim.where,
+        "quote": claim.quote,
+        "printed": number or limits_text(claim),
+        **{key: shown[key] for key in ("ours", "se", "low", "high", "unit", "flips", "shows")},
+        "verdict": word,
+        "reason": "; ".join(filter(None, [explained, *reasons])),
+        "readings": _counted(own) if len(own) > 1 else "",
+        "robustness": _counted([row for row in found if row["robustness"]]),
+        "chosen": claim.chosen,
+        "needed": max(needed, default=math.nan),
+        "basis": item.basis,
+        "counts": claim.judged,
+    }
+
+
+def _unjudged(claim: Claim, ours: Estimate) -> str:
+    """Why a claim is not judged; for a target of a fit with its misfit."""
+    if claim.kind == "fitted" and claim.printed is not None and claim.tolerance:
+        misfit = abs(ours.value - claim.printed) / claim.tolerance
+        return f"{CLASSES['fitted']}, missed by {misfit:.2g} tolerances"
+    return claim.not_judged or claim.reason or CLASSES[claim.kind]
+
+
+def _undecided(ours: Estimate, found: verdict.Judgement, count: float) -> str:
+    """What would decide an undecided reading."""
+    if math.isnan(ours.se):
+        return "too few cases for a standard error"
+    if not math.isfinite(found.more):
+        return "on the limit" if found.more == math.inf else "unknown interval"
+    if found.more <= 1:
+        return "across the limit"
+    units = np.format_float_positional(found.more * count, 2, fractional=False, trim="-")
+    count_text = f", N = {units}" if count == count else ""
+    apart = ": beyond ten times the study's" if found.more > BEYOND else ""
+    return f"{found.more:.2g} times the replications would decide{count_text}{apart}"
+
+
+def _flips(claim: Claim, found: verdict.Judgement) -> str:
+    """For which limits a statement that holds would hold as well; "" if the paper sets them."""
+    if claim.kind != "statement" or claim.chosen == "paper":
+        return ""
+    low, high = (f"{end:.3g} {claim.unit}".rstrip() for end in found.flips)
+    limits = claim.limits(0.0)
+    if math.isinf(limits.high):
+        return f"holds for any limit below {low}"
+    if math.isinf(limits.low):
+        return f"holds for any limit above {high}"
+    return f"holds for any limits around {low} to {high}"
+
+
+def limits_text(claim: Claim) -> str:
+    """The limits of a statement as text, e.g. "> 0 %"; "" without any."""
+    signs = {"above": ">", "at_least": "≥", "below": "<", "at_most": "≤"}
+    given = [(sign, getattr(claim, key)) for key, sign in signs.items()]
+    texts = [f"{sign} {value:g}" for sign, value in given if value is not None]
+    return " and ".join(texts) + (f" {claim.unit}" if texts and claim.unit else "")
+
+
+def _counted(rows: Sequence[Mapping[str, Any]]) -> str:
+    """In how many readings a claim has which verdict, e.g. "holds in 1 of 2: independent; fails:
+    common".
+    """
+    groups = {word: [r["reading"] for r in rows if r["verdict"] == word] for word in WORDS}
+    texts = [
+        f"{word} in {len(names)} of {len(rows)}: {', '.join(names)}"
+        for word, names in groups.items()
+        if names
+    ]
+    return "; ".join(texts)
+
+
+def headline(claims: pd.DataFrame) -> str:
+    """How many of the statements that can fail hold, depend on the reading, fail or are open."""
+    judged = claims[claims["counts"]]
+    counts = judged["verdict"].value_counts()
+    texts = {
+        HOLDS: "hold in every reading",
+        DEPENDS: "depend on what the paper leaves open",
+        FAILS: "fail",
+        UNDECIDED: "are undecided",
+        NOT_JUDGED: "are not judged at this scale",
+    }
+    parts = [f"{counts.get(word, 0)} {text}" for word, text in texts.items()
+             if counts.get(word, 0) or word in (HOLDS, DEPENDS, FAILS)]  # fmt: skip
+    return f"of {len(judged)} statements that can fail, {', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def verdict_text(claims: pd.DataFrame) -> str:
+    """The verdicts as a table for a terminal, and the headline."""
+    if not len(claims):
+        return "no claims"
+    head = ("study", "item", "claim", "printed", "ours", "verdict")
+    shown = [
+        (
+            row["study"],
+            row["item"],
+            row["what"],
+            row["printed"],
+            f"{interval_text(row['ours'], row['low'], row['high'])} {row['unit']}".strip(),
+            row["verdict"],
+        )
+        for row in claims.to_dict("records")
+    ]
+    widths = [max(len(str(line[i])) for line in [head, *shown]) for i in range(len(head))]
+    lines = [
+        "  ".join(str(cell).ljust(w) for cell, w in zip(line, widths)).rstrip()
+        for line in [head, *shown]
+    ]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", headline(claims)])
