@@ -10,6 +10,7 @@ from click.shell_completion import CompletionItem
 
 from aoabench.cli.common import (
     Command,
+    all_option,
     formats,
     json_option,
     print_json,
@@ -52,6 +53,7 @@ def _items(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
     help="Only these tables or figures, e.g. table1 or nurminen2018/fig4,fig5.",
 )
 @click.option("--fresh", is_flag=True, help="Compute everything again; reuse nothing stored.")
+@all_option
 @results_options
 @json_option
 def reproduce(
@@ -59,6 +61,7 @@ def reproduce(
     scale: str,
     only: str | None,
     fresh: bool,
+    every: bool,
     results: Path | None,
     format_: str | None,
     as_json: bool,
@@ -86,7 +89,7 @@ def reproduce(
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
     where = places.of_scale(scale, results)
-    done = reproducing.reproduce(study, scale, only, where, say, formats(format_), fresh)
+    done = reproducing.reproduce(study, scale, only, where, say, formats(format_), fresh, every)
     if as_json:
         items = {"scale": scale, "items": done.computed}
         print_json({**items, **studies_json(done.drawn, where.results)})

@@ -14,7 +14,7 @@ import numpy as np
 
 from aoabench.maths.intervals import normal_quantile
 from aoabench.maths.statistics import Estimate
-from aoabench.report.text import interval_text, printed_text
+from aoabench.report.text import printed_text
 from aoabench.studies import stored, verdict
 from aoabench.studies.claims import CLASSES, Claim, Reading
 from aoabench.studies.study import Item, Study
@@ -67,7 +67,8 @@ def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
             item = next(i for i in study.items if i.name == claim.item)
             found = [_read(claim, r, item, contents[item.name]) for r in claim.readings]
             claims.append({"study": study.name, **_row(claim, item, found)})
-            readings += [{"study": study.name, **row, "item": item.name, "id": claim.id} for row in found]
+            where = {"study": study.name, "item": item.name, "id": claim.id}
+            readings += [{**row, **where} for row in found]
     return Verdicts(
         pd.DataFrame(claims, columns=list(JUDGED)), pd.DataFrame(readings, columns=list(READ))
     )
@@ -205,27 +206,3 @@ def headline(claims: pd.DataFrame) -> str:
     parts = [f"{counts.get(word, 0)} {text}" for word, text in texts.items()
              if counts.get(word, 0) or word in (HOLDS, DEPENDS, FAILS)]  # fmt: skip
     return f"of {len(judged)} statements that can fail, {', '.join(parts[:-1])} and {parts[-1]}"
-
-
-def verdict_text(claims: pd.DataFrame) -> str:
-    """The verdicts as a table for a terminal, and the headline."""
-    if not len(claims):
-        return "no claims"
-    head = ("study", "item", "claim", "printed", "ours", "verdict")
-    shown = [
-        (
-            row["study"],
-            row["item"],
-            row["what"],
-            row["printed"],
-            f"{interval_text(row['ours'], row['low'], row['high'])} {row['unit']}".strip(),
-            row["verdict"],
-        )
-        for row in claims.to_dict("records")
-    ]
-    widths = [max(len(str(line[i])) for line in [head, *shown]) for i in range(len(head))]
-    lines = [
-        "  ".join(str(cell).ljust(w) for cell, w in zip(line, widths)).rstrip()
-        for line in [head, *shown]
-    ]
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", headline(claims)])
