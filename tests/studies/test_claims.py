@@ -71,7 +71,7 @@ def judged(tmp_path, entries, numbers, scale="paper", item=None):
     folder = Path(tempfile.mkdtemp(dir=tmp_path))
     found = read(folder, *entries)
     folder.joinpath("figures.py").write_text(
-        "from aoabench.maths.statistics import Estimate\n"
+        "from math import inf, nan\nfrom aoabench.maths.statistics import Estimate\n"
         f"def i_values(frame): return {{k: Estimate(*v) for k, v in {numbers!r}.items()}}\n"
     )
     items = (item or Item("i", "title", "caption"),)
