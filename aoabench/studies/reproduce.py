@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
 from aoabench.config.overrides import file_setting
 from aoabench.engine import runner
@@ -21,13 +22,14 @@ from aoabench.engine.faults import writable
 from aoabench.errors import UserError
 from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
-from aoabench.store.fixes import fixes
+from aoabench.store.fixes import Fixes, fixes, steps
 from aoabench.studies import page, progress, statements, stored, study
 from aoabench.studies.choice import Pair, cheapest_first, chosen
 from aoabench.studies.places import Places
 from aoabench.studies.statements import Verdicts
 
 Echo = Callable[[str], None]
+_READERS = {"fixes": fixes, "steps": steps}
 
 
 @dataclass(frozen=True)
@@ -116,16 +118,19 @@ def compute(
     runner.run(cells, title, fresh)
     origin = {"experiment": item.experiment, "cells": [c.config for c in cells]}
     with progress.shown(title):
-        if item.reads == "fixes":
-            names = ((c, list(c.estimators)) for c in cells)
-            return reduce(
-                (c, {name: fixes(out, c.id, name).first(c.reps) for name in some})
-                for c, some in names
-            ), origin
+        if item.reads in _READERS:
+            reader = _READERS[item.reads]
+            found = ((c, _fixes_of(c, reader, out)) for c in cells)
+            return reduce(found), origin
         frame = tables.load(out)
         wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
         reps = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
         return reduce(frame[frame["replication"] < reps]), origin
+
+
+def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, Fixes]:
+    """The fixes of a cell's replications by estimator."""
+    return {name: reader(out, cell.id, name).first(cell.reps) for name in cell.estimators}
 
 
 def _file_of(function: Callable[..., Any], folder: Path) -> str:
@@ -143,10 +148,10 @@ def draw(
     """
     pairs = chosen(names, None, all_studies())
     present = {id(i): study.table_path(places.results, s, i).exists() for s, i in pairs}
-    if not any(present.values()):
+    if not any(present.values()) and not any((places.results / "tables").glob("*.parquet")):
         raise UserError(
-            f"{places.results / 'tables'}: no table of a study; allowed: a folder that "
-            "`aoabench reproduce` wrote"
+            f"{places.results / 'tables'}: no tables here; allowed: a folder that `aoabench "
+            "reproduce` wrote"
         )
     writable(str(places.drawn / "figures"), "--results")
     problems = {(s.name, i.name): _drawn(s, i, places, echo, formats) for s, i in pairs}

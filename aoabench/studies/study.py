@@ -30,7 +30,8 @@ class Item:
     experiment: str | None = None
     scale: Any = None  # quick and paper: the overrides of an item with an experiment
     seconds: Any = None  # quick and paper: about how long on two cores, for order and progress
-    # input of its function: replications (a tidy frame) or fixes ((cell, {estimator: fixes}) each)
+    # input of its function: replications (a tidy frame), or fixes or steps ((cell, {estimator:
+    # store.fixes.Fixes}) each)
     reads: str = "replications"
     judged_at: str = "paper"  # the scale that its claims need: paper, or any
     basis: str = ""  # what the claims on it rest on, shown beside each verdict
