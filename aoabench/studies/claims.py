@@ -40,7 +40,8 @@ class Limits:
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read a claim: the patterns of the ids of our numbers, and what sets it apart.
+    """One way to read a claim: patterns of the ids of our numbers, of any item, and what sets it
+    apart.
 
     A reading for `robustness` changes what the paper states (another layout); it is shown and not
     counted.

@@ -62,10 +62,10 @@ def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
 
     claims, readings = [], []
     for study in studies:
-        contents = {item.name: stored.read(study, item, results) for item in study.items}
+        numbers = Numbers(study, results)
         for claim in study.claims:
-            item = next(i for i in study.items if i.name == claim.item)
-            found = [_read(claim, r, item, contents[item.name]) for r in claim.readings]
+            item = numbers.items[claim.item]
+            found = [_read(claim, reading, numbers) for reading in claim.readings]
             claims.append({"study": study.name, **_row(claim, item, found)})
             where = {"study": study.name, "item": item.name, "id": claim.id}
             readings += [{**row, **where} for row in found]
@@ -74,15 +74,41 @@ def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
     )
 
 
-def _read(claim: Claim, reading: Reading, item: Item, content: stored.Stored) -> dict[str, Any]:
+class Numbers:
+    """Our numbers of a study, by id, and the items and stored tables that they come from."""
+
+    def __init__(self, study: Study, results: Path) -> None:
+        self.items = {item.name: item for item in study.items}
+        self.contents = {name: stored.read(study, i, results) for name, i in self.items.items()}
+        self.item_of = {i: name for name, c in self.contents.items() for i in c.values}
+
+    def estimate(self, number: str) -> Estimate:
+        """The number with an id."""
+        return self.contents[self.item_of[number]].values[number][0]
+
+    def count(self, number: str) -> float:
+        """The samples or replications behind a number; NaN if unknown."""
+        content = self.contents[self.item_of[number]]
+        samples = content.values[number][1]
+        return samples if samples == samples else content.reps
+
+    def of_another_scale(self, ids: Sequence[str]) -> bool:
+        """Whether one of the numbers was computed at a scale at which claims are not judged."""
+        names = {self.item_of[i] for i in ids}
+        return any(
+            self.contents[n].scale != "paper" and self.items[n].judged_at != "any" for n in names
+        )
+
+
+def _read(claim: Claim, reading: Reading, ours: Numbers) -> dict[str, Any]:
     """The row of one reading of a claim."""
     row: dict[str, Any] = dict.fromkeys(READ, math.nan)
     row |= {"reading": reading.name, "robustness": reading.robustness, "unit": claim.unit}
     row |= {"number": "", "numbers": 0, "verdict": NOT_JUDGED, "flips": "", "reason": ""}
-    ids = reading.ids(content.values)
+    ids = reading.ids(ours.item_of)
     if not ids:
-        return row | {"reason": content.problem or NOT_COMPUTED}
-    numbers = [content.values[i][0] for i in ids]
+        return row | {"reason": ours.contents[claim.item].problem or NOT_COMPUTED}
+    numbers = [ours.estimate(i) for i in ids]
     limits = claim.limits(normal_quantile(verdict.LEVEL))
     found = verdict.judge(numbers, limits, claim.quantifier, claim.tie)
     mine = numbers[found.decisive]
@@ -91,16 +117,15 @@ def _read(claim: Claim, reading: Reading, item: Item, content: stored.Stored) ->
     row |= {"low": low, "high": high}
     if not claim.judged:
         return row | {"reason": _unjudged(claim, mine)}
-    if content.scale != "paper" and item.judged_at != "any":
+    if ours.of_another_scale(ids):
         return row | {"reason": OTHER_SCALE}
-    samples = content.values[ids[found.decisive]][1]
-    count = samples if samples == samples else content.reps
+    count = ours.count(ids[found.decisive])
     ties = "a tie" if len(ids) == 1 else f"{found.ties} of {len(ids)} are ties"
     return row | {
         "verdict": found.word,
         "reason": _undecided(mine, found, count) if found.word == UNDECIDED else
         f"{ties} (within ± {claim.tie:g} {claim.unit})".replace(" )", ")") if found.ties else "",
-        "flips": _flips(claim, found) if found.word == HOLDS else "",
+        "flips": _flips(claim, found),
         "shows": found.shows,
         "needed": found.more * count,
     }  # fmt: skip
@@ -159,16 +184,17 @@ def _undecided(ours: Estimate, found: verdict.Judgement, count: float) -> str:
 
 
 def _flips(claim: Claim, found: verdict.Judgement) -> str:
-    """For which limits a statement that holds would hold as well; "" if the paper sets them."""
+    """For which limits a statement would hold; "" if the paper sets them."""
     if claim.kind != "statement" or claim.chosen == "paper":
         return ""
     low, high = (f"{end:.3g} {claim.unit}".rstrip() for end in found.flips)
     limits = claim.limits(0.0)
+    would = "holds" if found.word == HOLDS else "would hold"
     if math.isinf(limits.high):
-        return f"holds for any limit below {low}"
+        return f"{would} for any limit below {low}"
     if math.isinf(limits.low):
-        return f"holds for any limit above {high}"
-    return f"holds for any limits around {low} to {high}"
+        return f"{would} for any limit above {high}"
+    return f"{would} for any limits around {low} to {high}"
 
 
 def limits_text(claim: Claim) -> str:
