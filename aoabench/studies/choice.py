@@ -20,7 +20,7 @@ def chosen(names: Sequence[str], only: str | None, known: Sequence[str]) -> list
     for name in names:
         if name not in known:
             raise UserError(f"study {shorten(repr(name))}: unknown{_hint(name, known)}")
-    pairs = [(s, item) for s in map(study.load, names or known) for item in s.items]
+    pairs = [(s, item) for s in map(study.load, dict.fromkeys(names or known)) for item in s.items]
     if only is None:
         return pairs
     words = [word.strip() for word in only.split(",")]
