@@ -7,7 +7,6 @@ README.md. Computing ends in Parquet; drawing starts from it.
 
 from __future__ import annotations
 
-import inspect
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,12 +23,13 @@ from aoabench.resources import committing
 from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
 from aoabench.store.fixes import Fixes, fixes, steps
-from aoabench.studies import page, progress, screen, statements, stored, study
+from aoabench.studies import findings, page, progress, screen, statements, stored, study
 from aoabench.studies.choice import Pair, cheapest_first, chosen
-from aoabench.studies.places import Places
+from aoabench.studies.places import Places, of_scale
 from aoabench.studies.statements import Verdicts
 
 Echo = Callable[[str], None]
+README = Path("README.md")
 _READERS = {"fixes": fixes, "steps": steps}
 
 
@@ -115,7 +115,7 @@ def compute(
     if item.experiment is None:
         with progress.shown(title):
             return reduce(scale), {
-                "function": f"experiments/{s.name}/{_file_of(reduce, s.folder)}:{item.name}",
+                "function": study.code_of(s, reduce),
                 "scale": scale,
             }
     out = raw / s.name  # one folder a study, so that its items share cells
@@ -138,11 +138,6 @@ def compute(
 def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, Fixes]:
     """The fixes of a cell's replications by estimator."""
     return {name: reader(out, cell.id, name).first(cell.reps) for name in cell.estimators}
-
-
-def _file_of(function: Callable[..., Any], folder: Path) -> str:
-    """The file that defines a function, relative to a folder that holds it."""
-    return Path(inspect.getfile(function)).relative_to(folder).as_posix()
 
 
 def draw(
@@ -193,8 +188,8 @@ def _conclude(
     echo: Echo,
     every: bool,
 ) -> Drawn:
-    """Write verdicts and page of all studies, and print the verdicts of the chosen items: one
-    screen, or with `every` each claim.
+    """Write verdicts and page of all studies, with COMMIT=1 what was found into README.md too, and
+    print the verdicts of the chosen items: one screen, or with `every` each claim.
     """
     everything = [study.load(name) for name in all_studies()]
     verdicts = statements.verdicts(everything, places.results)
@@ -203,6 +198,8 @@ def _conclude(
     write_frame(places.drawn / "report" / "verdicts.parquet", verdicts.claims, same)
     write_frame(places.drawn / "report" / "readings.parquet", verdicts.readings, same)
     html = page.write(everything, verdicts, places, problems)
+    if committing() and places == of_scale("paper"):
+        findings.write_into(README, findings.overview(everything, verdicts.claims, places.results))
     mine = verdicts.of({(s.name, item.name) for s, item in pairs})
     echo("")
     echo(screen.everything(mine.claims) if every else screen.screen(mine, everything))

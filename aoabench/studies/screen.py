@@ -27,7 +27,7 @@ def screen(verdicts: Verdicts, studies: Sequence[Study]) -> str:
     """At most 20 lines: how many claims hold, depend, fail and are open in each study, and the most
     interesting ones.
     """
-    counted = verdicts.claims[verdicts.claims["counts"]]
+    counted = verdicts.claims[verdicts.claims["counts"].astype(bool)]
     if not len(counted):
         return "no claims that can fail"
     lines = [*_counts(counted), ""]
@@ -54,7 +54,7 @@ def _interesting(verdicts: Verdicts, studies: Sequence[Study]) -> list[dict[str,
     or depend before the others, and among equals by their distance from the limit in standard errors.
     """
     known = {(s.name, c.id): c for s in studies for c in s.claims}
-    counted = verdicts.claims[verdicts.claims["counts"]].set_index(["study", "id"])
+    counted = verdicts.claims[verdicts.claims["counts"].astype(bool)].set_index(["study", "id"])
     best: dict[tuple[str, str], dict[str, Any]] = {}
     for row in verdicts.readings.to_dict("records"):
         key = (row["study"], row["id"])

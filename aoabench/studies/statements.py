@@ -220,7 +220,7 @@ def _counted(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def headline(claims: pd.DataFrame) -> str:
     """How many of the statements that can fail hold, depend on the reading, fail or are open."""
-    judged = claims[claims["counts"]]
+    judged = claims[claims["counts"].astype(bool)]
     counts = judged["verdict"].value_counts()
     texts = {
         HOLDS: "hold in every reading",

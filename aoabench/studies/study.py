@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -49,6 +50,7 @@ class Study:
     errata: tuple[dict[str, Any], ...]
     schematic: str = ""
     unclaimed: Mapping[str, str] = field(default_factory=dict)  # see claims.Claims
+    findings: tuple[str, ...] = ()  # templates of sentences, see findings.filled
 
     @property
     def numbers(self) -> ModuleType:
@@ -89,6 +91,7 @@ def load(name: str) -> Study:
         tuple(read("errata.yaml")),
         spec.get("schematic", ""),
         found.unclaimed,
+        tuple(spec.get("finding", ())),
     )
 
 
@@ -105,6 +108,12 @@ def _module(folder: Path, name: str) -> ModuleType:
     sys.modules[full] = module
     spec.loader.exec_module(module)
     return module
+
+
+def code_of(study: Study, function: Callable[..., Any]) -> str:
+    """File and name of a function of a study, e.g. experiments/lu2019/numbers/trials.py:fig4."""
+    file = Path(inspect.getfile(function)).relative_to(study.folder).as_posix()
+    return f"experiments/{study.name}/{file}:{function.__name__}"
 
 
 def table_path(results: Path, study: Study, item: Item) -> Path:

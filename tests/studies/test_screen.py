@@ -85,3 +85,21 @@ def test_the_screen_of_the_shipped_studies_fits(tmp_path):
     lines = screen.screen(statements.verdicts(studies, tmp_path), studies).splitlines()
     assert len(lines) <= 20
     assert claims.CLASSES.keys() >= {"number", "statement"}
+
+
+def test_a_study_without_claims_has_a_screen(tmp_path):
+    from aoabench.studies import statements
+
+    mine = [study.load("leaderboard")]
+    verdicts = statements.verdicts(mine, tmp_path)
+    assert screen.screen(verdicts, mine) == "no claims that can fail"
+    assert screen.everything(verdicts.claims).startswith("of 0 statements")
+
+
+def test_readings_belong_to_their_study(tmp_path):
+    from aoabench.studies import statements
+
+    verdicts = statements.verdicts([study.load("lu2019")], tmp_path)
+    assert set(verdicts.readings["study"]) == {"lu2019"}
+    some = verdicts.of({("lu2019", "fig3")})
+    assert set(some.claims["item"]) == set(some.readings["item"]) == {"fig3"}
