@@ -36,8 +36,8 @@ def write(
     places: Places,
     problems: Mapping[tuple[str, str], str] | None = None,
 ) -> Path:
-    """Write report/index.html in `places.drawn` and return its path; `problems` maps (study, item) to the
-    reason why a figure is missing ("" if none).
+    """Write report/index.html in `places.drawn` and return its path; `problems` maps (study, item)
+    to the reason why a figure is missing ("" if none).
     """
     import jinja2
 

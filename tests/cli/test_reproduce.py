@@ -28,7 +28,7 @@ def test_json_and_quiet(call, tmp_path, one_item):
     assert set(found) == {*KEYS, "scale", "items"}
     assert (found["schema"], found["scale"], found["results"]) == (1, "quick", str(tmp_path))
     (item,) = found["items"]
-    assert (item["study"], item["item"], item["rows"]) == ("nurminen2018", "table1", 14)
+    assert (item["study"], item["item"], item["rows"]) == ("nurminen2018", "table1", 30)
     assert Path(found["page"]).exists()
     assert {row["item"] for row in found["verdicts"]} == {"table1"}, "only what was asked"
     assert isinstance(found["verdicts"][0]["ours"], float)
@@ -45,3 +45,16 @@ def test_json_and_quiet(call, tmp_path, one_item):
     status, out, _ = call("report", "--results", tmp_path)
     assert status == 0
     assert "statements that can fail" in out
+
+
+@pytest.mark.parametrize(("words", "fault"), [
+    (["--decide", "--scale", "quick"], "--scale=quick: --decide adds"),
+    (["--decide", "--fresh"], "--fresh: --decide adds"),
+    (["--budget", "3"], "--budget=3: only with --decide"),
+    (["--decide", "--budget", "0"], "--budget"),
+])  # fmt: skip
+def test_words_that_exclude_each_other_are_one_line(words, fault, call):
+    status, out, err = call("reproduce", *words)
+    assert status == 2
+    assert fault in err
+    assert "Traceback" not in err

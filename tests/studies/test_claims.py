@@ -76,7 +76,7 @@ def judged(tmp_path, entries, numbers, scale="paper", item=None):
     )
     items = (item or Item("i", "title", "caption"),)
     mine = Study(folder.name, folder, "title", "cite", items, found.claims, ())
-    config = {"cells": [{"reps": 50}, {"reps": 200}]}
+    config = {"reps": 200}
     write_frame(
         study.table_path(folder, mine, items[0]),
         pd.DataFrame({"x": [1.0]}),
