@@ -35,8 +35,8 @@ JUDGED = {
 }  # fmt: skip
 READ = {
     "study": str, "item": str, "id": str, "reading": str, "robustness": bool, "table": str,
-    "number": str, "numbers": int, "ours": float, "se": float, "low": float, "high": float, "unit": str, "verdict": str,
-    "reason": str, "flips": str, "shows": float, "needed": float,
+    "number": str, "numbers": int, "ours": float, "se": float, "low": float, "high": float,
+    "unit": str, "verdict": str, "reason": str, "flips": str, "shows": float, "needed": float,
 }  # fmt: skip
 
 
