@@ -32,8 +32,8 @@ def output_folder() -> Path:
 
 @functools.cache
 def printed(study: str) -> dict[str, Any]:
-    """Numbers printed in a study's paper, by the ids of their claims in claims.yaml; None for a claim
-    without a number.
+    """Numbers printed in a study's paper, by the ids of their claims; None for a claim without a
+    number.
     """
     import yaml
 

@@ -39,9 +39,9 @@ def report(
       aoabench report --format pdf
       aoabench report --scale quick
 
-    With --json: `results`, the folder; `verdicts`, a row for each claim; `readings`, one for each reading of
-    a claim;
-    `not_computed`, the items without a table, each with the reason; `page`, its path.
+    With --json: `results`, the folder; `verdicts`, a row for each claim; `readings`,
+    one for each reading of a claim; `not_computed`, the items without a table, each with the
+    reason; `page`, its path.
     """
     from aoabench.studies import places
     from aoabench.studies import reproduce as reproducing

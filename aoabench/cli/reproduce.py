@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from aoabench.cli.common import (
@@ -19,6 +20,7 @@ from aoabench.cli.common import (
     scale_option,
 )
 from aoabench.cli.show import studies_json
+from aoabench.errors import UserError
 
 
 def _studies(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -52,6 +54,17 @@ def _items(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
     shell_complete=_items,
     help="Only these tables or figures, e.g. table1 or nurminen2018/fig4,fig5.",
 )
+@click.option(
+    "--decide",
+    is_flag=True,
+    help="Add replications to the stored tables of paper scale until their claims are decided.",
+)
+@click.option(
+    "--budget",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="MIN",
+    help="The minutes that --decide may take; default: 10.",
+)
 @click.option("--fresh", is_flag=True, help="Compute everything again; reuse nothing stored.")
 @all_option
 @results_options
@@ -60,6 +73,8 @@ def reproduce(
     study: tuple[str, ...],
     scale: str,
     only: str | None,
+    decide: bool,
+    budget: float | None,
     fresh: bool,
     every: bool,
     results: Path | None,
@@ -78,6 +93,7 @@ def reproduce(
       aoabench reproduce
       aoabench reproduce nurminen2018 --scale paper
       aoabench reproduce --only nurminen2018/fig4,le2021/table1
+      aoabench reproduce nurminen2018 --decide --budget 30
 
     With --json: `scale`; `results`, the folder; `items`, the computed items with study, item, rows,
     seconds; `verdicts`, a row for each claim; `readings`, one for each reading of
@@ -88,8 +104,22 @@ def reproduce(
     from aoabench.studies import reproduce as reproducing
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
+    if decide:
+        source = click.get_current_context().get_parameter_source("scale")
+        if scale == "quick" and source is not ParameterSource.DEFAULT:
+            raise UserError("--scale=quick: --decide adds to tables of paper scale; leave it out")
+        if fresh:
+            raise UserError("--fresh: --decide adds to what is stored; leave it out")
+        scale = "paper"
+    elif budget is not None:
+        raise UserError(f"--budget={budget:g}: only with --decide")
     where = places.of_scale(scale, results)
-    done = reproducing.reproduce(study, scale, only, where, say, formats(format_), fresh, every)
+    minutes = 10.0 if budget is None else budget
+    if decide:
+        options = (formats(format_), 60 * minutes, every)
+        done = reproducing.decide(study, only, where, say, *options)
+    else:
+        done = reproducing.reproduce(study, scale, only, where, say, formats(format_), fresh, every)
     if as_json:
         items = {"scale": scale, "items": done.computed}
         print_json({**items, **studies_json(done.drawn, where.results)})

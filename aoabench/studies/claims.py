@@ -23,7 +23,11 @@ CLASSES = {
     "own": "a diagnostic of ours",
 }
 QUANTIFIERS = ("for all", "exists", "typical")
-CHOSEN = ("paper", "before", "after")  # who set a limit: the paper, or we before or after our result
+CHOSEN = (
+    "paper",
+    "before",
+    "after",
+)  # who set a limit: the paper, or we before or after our result
 BOUNDS = ("above", "at_least", "below", "at_most")
 QUOTED_WORDS = 12  # the longest quotation
 
@@ -57,8 +61,11 @@ class Reading:
         return ", ".join(self.columns.values())
 
     def ids(self, found: Iterable[str]) -> list[str]:
-        """The ids in `found` that match, in their order there."""
-        return [i for i in found if any(fnmatchcase(i, pattern) for pattern in self.of)]
+        """The ids in `found` that match, in their order there; none if a pattern matches none."""
+        known = list(found)
+        matches = [{i for i in known if fnmatchcase(i, pattern)} for pattern in self.of]
+        every = set().union(*matches) if all(matches) else set()
+        return [i for i in known if i in every]
 
 
 @dataclass(frozen=True)
@@ -195,7 +202,10 @@ def _fault(claim: Claim) -> str:
             return f"limits: one of {', '.join(BOUNDS)} is needed for a statement"
         if bounds and claim.chosen not in CHOSEN:
             return f"chosen {claim.chosen!r}: who set the limits; allowed: {', '.join(CHOSEN)}"
-    if len({"above", "at_least"} & set(bounds)) == 2 or len({"below", "at_most"} & set(bounds)) == 2:
+    if (
+        len({"above", "at_least"} & set(bounds)) == 2
+        or len({"below", "at_most"} & set(bounds)) == 2
+    ):
         return "limits: above excludes at_least, and below excludes at_most"
     if claim.kind == "fitted" and (claim.printed is None or not claim.tolerance):
         return "printed and tolerance: needed for a target of the fit"

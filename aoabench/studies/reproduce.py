@@ -25,6 +25,7 @@ from aoabench.store.files import provenance, write_frame
 from aoabench.store.fixes import Fixes, fixes, steps
 from aoabench.studies import findings, page, progress, screen, statements, stored, study
 from aoabench.studies.choice import Pair, cheapest_first, chosen
+from aoabench.studies.decide import needs
 from aoabench.studies.places import Places, of_scale
 from aoabench.studies.statements import Verdicts
 
@@ -83,21 +84,74 @@ def reproduce(
     computed: list[dict[str, Any]] = []
     problems: dict[tuple[str, str], str] = {}
     for s, item in pairs:
-        begin = time.perf_counter()
         title = f"{s.name} {item.name} ({pace.text()})"
-        frame, origin = compute(s, item, scale, places.raw, fresh, title)
-        seconds = round(time.perf_counter() - begin, 2)
-        origin = {**provenance(origin), "scale": scale, "seconds": seconds}
-        write_frame(study.table_path(places.results, s, item), frame, origin)
-        pace.done(seconds)
-        row = {"study": s.name, "item": item.name, "rows": len(frame), "seconds": seconds}
+        row = _compute_table(s, item, scale, places, fresh, title)
+        pace.done(row["seconds"])
         computed.append(row)
-        rows = f"{s.name} {item.name}: {len(frame)} rows, {seconds:.1f} s ({scale})"
+        rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s ({scale})"
         echo(f"{rows}; {pace.text()}")
         problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
     if committing():
         progress.note(scale, computed)
     return Reproduced(computed, _conclude(pairs, problems, places, echo, every))
+
+
+def decide(
+    names: Sequence[str],
+    only: str | None,
+    places: Places,
+    echo: Echo,
+    formats: Sequence[str] = ("png",),
+    budget_s: float = 600.0,
+    every: bool = False,
+) -> Reproduced:
+    """Add replications to the stored tables of paper scale until no claim on the chosen items is
+    undecided that more replications would decide, or until the next item would not fit into
+    `budget_s` seconds.
+
+    Raises UserError for an unknown study or item.
+    """
+    pairs = chosen(names, only, all_studies())
+    writable(str(places.results), "--results")
+    computed: list[dict[str, Any]] = []
+    problems: dict[tuple[str, str], str] = {}
+    begin = time.perf_counter()
+    while True:
+        wanted = needs(pairs, places.results)
+        left_s = budget_s - (time.perf_counter() - begin)
+        fits = [need for need in wanted.items if need.expected_s <= left_s]
+        if not fits:
+            break
+        s, item, reps = fits[0].study, fits[0].item, fits[0].reps
+        echo(f"{s.name} {item.name}: N = {reps} instead of {fits[0].stored} for "
+             f"{', '.join(fits[0].claims)}; {progress.duration(fits[0].expected_s)}")  # fmt: skip
+        title = f"{s.name} {item.name}, N = {reps}"
+        computed.append(_compute_table(s, item, "paper", places, False, title, reps))
+        problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
+    for need in wanted.items:
+        echo(f"{', '.join(need.claims)}: N = {need.reps} takes about "
+             f"{progress.duration(need.expected_s)}, beyond --budget")  # fmt: skip
+    for claim, reason in wanted.left.items():
+        echo(f"{claim}: {reason}")
+    return Reproduced(computed, _conclude(pairs, problems, places, echo, every))
+
+
+def _compute_table(
+    s: study.Study,
+    item: study.Item,
+    scale: str,
+    places: Places,
+    fresh: bool,
+    title: str,
+    reps: int | None = None,
+) -> dict[str, Any]:
+    """Compute and store the table of an item; return its study, item, rows and seconds."""
+    begin = time.perf_counter()
+    frame, origin = compute(s, item, scale, places.raw, fresh, title, reps)
+    seconds = round(time.perf_counter() - begin, 2)
+    origin = {**provenance(origin), "scale": scale, "seconds": seconds}
+    write_frame(study.table_path(places.results, s, item), frame, origin)
+    return {"study": s.name, "item": item.name, "rows": len(frame), "seconds": seconds}
 
 
 def compute(
@@ -107,9 +161,11 @@ def compute(
     raw: Path,
     fresh: bool = False,
     title: str = "replications",
+    reps: int | None = None,
 ) -> tuple[Any, Any]:
     """The table (a frame) of one item, and the config that it came from. Replications lie in the
-    folder of the study under `raw`; `title` stands before the progress bar.
+    folder of the study under `raw`; `title` stands before the progress bar; `reps` replaces the
+    number of replications of the scale.
     """
     reduce = getattr(s.numbers, item.name)
     if item.experiment is None:
@@ -119,11 +175,16 @@ def compute(
                 "scale": scale,
             }
     out = raw / s.name  # one folder a study, so that its items share cells
+    overrides = [*item.scale[scale], *([] if reps is None else [f"reps={reps}"])]
     cells = compose_cells(
-        [f"experiment={item.experiment}", *item.scale[scale], file_setting("runner.out", out)]
+        [f"experiment={item.experiment}", *overrides, file_setting("runner.out", out)]
     )
     runner.run(cells, title, fresh)
-    origin = {"experiment": item.experiment, "cells": [c.config for c in cells]}
+    origin = {
+        "experiment": item.experiment,
+        "cells": [c.config for c in cells],
+        "reps": max(c.reps for c in cells),
+    }
     with progress.shown(title):
         if item.reads in _READERS:
             reader = _READERS[item.reads]
@@ -131,8 +192,8 @@ def compute(
             return reduce(found), origin
         frame = tables.load(out)
         wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
-        reps = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
-        return reduce(frame[frame["replication"] < reps]), origin
+        kept = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
+        return reduce(frame[frame["replication"] < kept]), origin
 
 
 def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, Fixes]:

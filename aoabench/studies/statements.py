@@ -34,16 +34,16 @@ JUDGED = {
     "chosen": str, "flips": str, "shows": float, "needed": float, "basis": str, "counts": bool,
 }  # fmt: skip
 READ = {
-    "study": str, "item": str, "id": str, "reading": str, "robustness": bool, "number": str, "numbers": int,
-    "ours": float, "se": float, "low": float, "high": float, "unit": str, "verdict": str,
-    "reason": str, "flips": str, "shows": float, "needed": float,
+    "study": str, "item": str, "id": str, "reading": str, "robustness": bool, "table": str,
+    "number": str, "numbers": int, "ours": float, "se": float, "low": float, "high": float,
+    "unit": str, "verdict": str, "reason": str, "flips": str, "shows": float, "needed": float,
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """The verdicts on the claims of some studies: `claims` has a row for each claim with the columns
-    JUDGED, `readings` one for each reading with the columns READ.
+    """The verdicts on the claims of some studies: `claims` has a row for each claim, with the
+    columns JUDGED, `readings` one for each reading, with the columns READ.
     """
 
     claims: pd.DataFrame
@@ -67,8 +67,8 @@ def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
             item = numbers.items[claim.item]
             found = [_read(claim, reading, numbers) for reading in claim.readings]
             claims.append({"study": study.name, **_row(claim, item, found)})
-            where = {"study": study.name, "item": item.name, "id": claim.id}
-            readings += [{**row, **where} for row in found]
+            own = {"study": study.name, "item": item.name, "id": claim.id}
+            readings += [row | own for row in found]
     return Verdicts(
         pd.DataFrame(claims, columns=list(JUDGED)), pd.DataFrame(readings, columns=list(READ))
     )
@@ -104,7 +104,14 @@ def _read(claim: Claim, reading: Reading, ours: Numbers) -> dict[str, Any]:
     """The row of one reading of a claim."""
     row: dict[str, Any] = dict.fromkeys(READ, math.nan)
     row |= {"reading": reading.name, "robustness": reading.robustness, "unit": claim.unit}
-    row |= {"number": "", "numbers": 0, "verdict": NOT_JUDGED, "flips": "", "reason": ""}
+    row |= {
+        "table": claim.item,
+        "number": "",
+        "numbers": 0,
+        "verdict": NOT_JUDGED,
+        "flips": "",
+        "reason": "",
+    }
     ids = reading.ids(ours.item_of)
     if not ids:
         return row | {"reason": ours.contents[claim.item].problem or NOT_COMPUTED}
@@ -113,18 +120,23 @@ def _read(claim: Claim, reading: Reading, ours: Numbers) -> dict[str, Any]:
     found = verdict.judge(numbers, limits, claim.quantifier, claim.tie)
     mine = numbers[found.decisive]
     low, high = found.interval
-    row |= {"number": ids[found.decisive], "numbers": len(ids), "ours": mine.value, "se": mine.se}
-    row |= {"low": low, "high": high}
+    number = ids[found.decisive]
+    row |= {"table": ours.item_of[number], "number": number, "numbers": len(ids)}
+    row |= {"ours": mine.value, "se": mine.se, "low": low, "high": high}
     if not claim.judged:
         return row | {"reason": _unjudged(claim, mine)}
     if ours.of_another_scale(ids):
         return row | {"reason": OTHER_SCALE}
-    count = ours.count(ids[found.decisive])
-    ties = "a tie" if len(ids) == 1 else f"{found.ties} of {len(ids)} are ties"
+    count = ours.count(number)
+    reasons = []
+    if found.ties:
+        some = "a tie" if len(ids) == 1 else f"{found.ties} of {len(ids)} are ties"
+        reasons.append(f"{some} (within ± {claim.tie:g} {claim.unit}".rstrip() + ")")
+    if found.word == UNDECIDED and found.ties < len(ids):
+        reasons.append(_undecided(mine, found, count, ours.items[ours.item_of[number]]))
     return row | {
         "verdict": found.word,
-        "reason": _undecided(mine, found, count) if found.word == UNDECIDED else
-        f"{ties} (within ± {claim.tie:g} {claim.unit})".replace(" )", ")") if found.ties else "",
+        "reason": "; ".join(reasons),
         "flips": _flips(claim, found),
         "shows": found.shows,
         "needed": found.more * count,
@@ -169,18 +181,21 @@ def _unjudged(claim: Claim, ours: Estimate) -> str:
     return claim.not_judged or claim.reason or CLASSES[claim.kind]
 
 
-def _undecided(ours: Estimate, found: verdict.Judgement, count: float) -> str:
-    """What would decide an undecided reading."""
+def _undecided(ours: Estimate, found: verdict.Judgement, count: float, item: Item) -> str:
+    """What would decide an undecided reading, whose number rests on `count` units of an item."""
     if math.isnan(ours.se):
         return "too few cases for a standard error"
     if not math.isfinite(found.more):
         return "on the limit" if found.more == math.inf else "unknown interval"
     if found.more <= 1:
         return "across the limit"
-    units = np.format_float_positional(found.more * count, 2, fractional=False, trim="-")
-    count_text = f", N = {units}" if count == count else ""
-    apart = ": beyond ten times the study's" if found.more > BEYOND else ""
-    return f"{found.more:.2g} times the replications would decide{count_text}{apart}"
+    needed = np.format_float_positional(found.more * count, 2, fractional=False, trim="-")
+    known = count == count and item.counts == "replications"
+    count_text = f", N = {needed}" if known else ""
+    study_count = count if math.isnan(item.paper_reps) else item.paper_reps
+    beyond = found.more * count > BEYOND * study_count
+    apart = ": beyond ten times the study's" if beyond else ""
+    return f"{found.more:.2g} times the {item.counts} would decide{count_text}{apart}"
 
 
 def _flips(claim: Claim, found: verdict.Judgement) -> str:
@@ -222,13 +237,14 @@ def headline(claims: pd.DataFrame) -> str:
     """How many of the statements that can fail hold, depend on the reading, fail or are open."""
     judged = claims[claims["counts"].astype(bool)]
     counts = judged["verdict"].value_counts()
-    texts = {
-        HOLDS: "hold in every reading",
-        DEPENDS: "depend on what the paper leaves open",
-        FAILS: "fail",
-        UNDECIDED: "are undecided",
-        NOT_JUDGED: "are not judged at this scale",
+    texts = {  # for one, and for several
+        HOLDS: ("holds in every reading", "hold in every reading"),
+        DEPENDS: ("depends on what the paper leaves open", "depend on what the paper leaves open"),
+        FAILS: ("fails", "fail"),
+        UNDECIDED: ("is undecided", "are undecided"),
+        NOT_JUDGED: ("is not judged at this scale", "are not judged at this scale"),
     }
-    parts = [f"{counts.get(word, 0)} {text}" for word, text in texts.items()
-             if counts.get(word, 0) or word in (HOLDS, DEPENDS, FAILS)]  # fmt: skip
+    always = (HOLDS, DEPENDS, FAILS)
+    found = {word: int(counts.get(word, 0)) for word in texts}
+    parts = [f"{n} {texts[w][n != 1]}" for w, n in found.items() if n or w in always]
     return f"of {len(judged)} statements that can fail, {', '.join(parts[:-1])} and {parts[-1]}"

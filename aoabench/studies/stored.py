@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from aoabench.errors import RunError, WriteError
 from aoabench.maths.statistics import Estimate
 from aoabench.store.files import read_provenance, read_table
-
 from aoabench.studies.places import Places
 from aoabench.studies.study import Item, Study, figure_path, table_path
 
@@ -69,18 +68,12 @@ class Stored:
     shown: pd.DataFrame | None = None  # texts to show as a table, where figures.py has NAME_table
     problem: str = ""  # why a stored table cannot be read
     origin: Mapping[str, Any] = field(default_factory=dict)  # its provenance
+    reps: float = float("nan")  # the replications behind it, where it comes from an experiment
 
     @property
     def scale(self) -> str:
         """The scale at which the table was computed; "" if it does not say."""
         return str(self.origin.get("scale", ""))
-
-    @property
-    def reps(self) -> float:
-        """The largest number of replications behind the table; NaN if it does not say."""
-        config = self.origin.get("config")
-        cells = config.get("cells", []) if isinstance(config, dict) else []
-        return max((float(cell["reps"]) for cell in cells if "reps" in cell), default=float("nan"))
 
 
 def read(study: Study, item: Item, results: Path) -> Stored:
@@ -99,4 +92,6 @@ def read(study: Study, item: Item, results: Path) -> Stored:
         key: value if isinstance(value, tuple) else (value, float("nan"))
         for key, value in found.items()
     }
-    return Stored(True, pairs, shown, origin=origin)
+    config = origin["config"] if isinstance(origin.get("config"), dict) else {}
+    known = item.paper_reps if origin.get("scale") == "paper" else float("nan")
+    return Stored(True, pairs, shown, origin=origin, reps=config.get("reps", known))

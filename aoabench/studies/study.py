@@ -34,7 +34,15 @@ class Item:
     # store.fixes.Fixes}) each)
     reads: str = "replications"
     judged_at: str = "paper"  # the scale that its claims need: paper, or any
+    counts: str = "replications"  # the independent units behind its standard errors
     basis: str = ""  # what the claims on it rest on, shown beside each verdict
+
+    @property
+    def paper_reps(self) -> float:
+        """The replications at paper scale; NaN if they are not stated."""
+        given = [] if self.scale is None else self.scale["paper"]
+        found = [float(o.removeprefix("reps=")) for o in given if o.startswith("reps=")]
+        return found[0] if found else float("nan")
 
 
 @dataclass(frozen=True)

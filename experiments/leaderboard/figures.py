@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from aoabench.report.plots import BOUND, BOUND_LABEL, GREY, PAGE, new
+from aoabench.report.plots import BOUND, BOUND_LABEL, PAGE, new
 from aoabench.report.text import number_text
 
 if TYPE_CHECKING:
@@ -56,7 +56,9 @@ def _panel(axis: Any, rows: pd.DataFrame) -> None:
             text = f"{r['rmse_m']:.3g} m \u2192"
             axis.annotate(text, (end, i), ha="right", va="center", fontsize=6.5, **at)
         share = f"{100 * r['share_ok']:.3g} %"
-        axis.annotate(share, (1.02, i), xycoords=("axes fraction", "data"), va="center", fontsize=6.5)
+        axis.annotate(
+            share, (1.02, i), xycoords=("axes fraction", "data"), va="center", fontsize=6.5
+        )
     axis.annotate("ok", (1.02, len(rows) - 0.4), xycoords=("axes fraction", "data"), fontsize=6.5)
     if rows["bound_m"].notna().any():
         axis.axvline(rows["bound_m"].iloc[0], **BOUND)

@@ -138,7 +138,9 @@ def _fig4_legend() -> list[Any]:
     methods = [Line2D([], [], label=label, **STYLES[name]) for name, label in NAMES.items()]
     rmse = Line2D([], [], color=GREY, marker="o", label="filled: RMSE of all trials")
     median = Line2D([], [], color=GREY, marker="o", mfc="white", ls=":", label="open: median")
-    beyond = Line2D([], [], color=GREY, marker=6, ls="", label="RMSE beyond the axis, with its value")
+    beyond = Line2D(
+        [], [], color=GREY, marker=6, ls="", label="RMSE beyond the axis, with its value"
+    )
     return [*methods, rmse, median, beyond]
 
 

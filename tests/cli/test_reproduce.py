@@ -46,3 +46,16 @@ def test_json_and_quiet(call, tmp_path, one_item):
     assert status == 0
     assert "claims that can fail" in out
     assert "statements that can fail" in call("report", "--results", tmp_path, "--all")[1]
+
+
+@pytest.mark.parametrize(("words", "fault"), [
+    (["--decide", "--scale", "quick"], "--scale=quick: --decide adds"),
+    (["--decide", "--fresh"], "--fresh: --decide adds"),
+    (["--budget", "3"], "--budget=3: only with --decide"),
+    (["--decide", "--budget", "0"], "--budget"),
+])  # fmt: skip
+def test_words_that_exclude_each_other_are_one_line(words, fault, call):
+    status, out, err = call("reproduce", *words)
+    assert status == 2
+    assert fault in err
+    assert "Traceback" not in err

@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 
-from aoabench.maths.statistics import Estimate
 from aoabench.report import animation, plots
 from aoabench.report.text import number_text
 from aoabench.store.files import read_provenance, write_frame

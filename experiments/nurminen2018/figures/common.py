@@ -33,10 +33,11 @@ def counts(frame: pd.DataFrame) -> str:
 
 
 def numbers_of(r: dict[str, Any], key: str) -> dict[str, Estimate]:
-    """Numbers for the claims on one filter, from its row: for an AE filter the mean RMSE above that
-    of the same filter with VMF, the share of laps with a smaller RMSE, and the excess beyond that of
-    the particle filter with the same model; for a VMF one the difference from PF-VMF; for
-    AE-adaptive also that from the other AE models. All in percent.
+    """Numbers in percent for the claims on one filter, from its row.
+
+    For an AE filter: the mean RMSE above that of the same filter with VMF, the share of laps with a
+    smaller RMSE, and the excess beyond that of the particle filter with the same model; for a VMF
+    filter the difference from PF-VMF; for AE-adaptive also that from the other AE models.
     """
 
     def estimate(name: str) -> Estimate:

@@ -77,9 +77,8 @@ def adaptivity(frame: pd.DataFrame) -> Figure:
 
 def adaptivity_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """Mean RMSE of AE-adaptive above that of the same filter with another AE model, in percent."""
-    return {
-        f"adaptivity/{_title(r['layout'])}/{r['noise']}/{r['estimator']}/above_{r['other']}": Estimate(
-            r["above_percent"], r["above_se"]
-        )
-        for r in frame.to_dict("records")
-    }
+    found = {}
+    for r in frame.to_dict("records"):
+        key = f"adaptivity/{_title(r['layout'])}/{r['noise']}/{r['estimator']}/above_{r['other']}"
+        found[key] = Estimate(r["above_percent"], r["above_se"])
+    return found

@@ -101,8 +101,8 @@ def _view(axis: Any, frame: pd.DataFrame, plane: tuple[int, int]) -> None:
 
 
 def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Angles in deg of each posterior mean to the measured direction, and in the horizontal plane of
-    each EKF's step to the clockwise tangent of the circle through the prior's mean.
+    """Angles in deg of each posterior mean to the measured direction, and of each EKF's horizontal
+    step to the clockwise tangent of the circle through the prior's mean.
     """
     prior = frame[frame["method"] == "prior"][["x_m", "y_m"]].to_numpy()[0]
     tangent = np.array([prior[1], -prior[0]]) / np.linalg.norm(prior)

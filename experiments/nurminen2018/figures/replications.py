@@ -94,7 +94,7 @@ def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def readings(frame: pd.DataFrame) -> Figure:
-    """Mean RMSE of AE-adaptive above the same filter with VMF, for each reading of "AE-adaptive"."""
+    """Mean RMSE of AE-adaptive above the same filter with VMF, for each reading of its name."""
     figure, axes = new(PAGE, 2.2, cols=2, sharey=True)
     names = [n for n in ORDER if "adaptive" in n][::-1]
     for axis, noise in zip(axes, TITLES):

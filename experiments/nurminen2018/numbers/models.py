@@ -63,9 +63,10 @@ def shares(logliks: np.ndarray) -> list[Estimate]:
 
 
 def distances(logliks: np.ndarray) -> list[tuple[str, str, Estimate]]:
-    """Model, quantity and value: of each AE model how far its mean log likelihood lies below that of
-    VMF ("below_vmf") and its distance from it, and how much shorter AE-adaptive's distance is than
-    those of the others ("closer_than_..."), from (4, n) samples.
+    """Models, quantities and values from log likelihoods (4, n).
+
+    "below_vmf": how far an AE model's mean lies below that of VMF, "distance": the size of that,
+    "closer_than_...": how much shorter AE-adaptive's distance is than another's.
     """
     *ae, vmf = logliks
     below = {model: vmf - own for model, own in zip(MODELS, ae)}
@@ -73,7 +74,9 @@ def distances(logliks: np.ndarray) -> list[tuple[str, str, Estimate]]:
     found = [(m, "below_vmf", statistics.mean(d)) for m, d in below.items()]
     found += [(m, "distance", statistics.mean(d)) for m, d in away.items()]
     near = away.pop("ae_adaptive")
-    closer = [("ae_adaptive", f"closer_than_{m}", statistics.mean(d - near)) for m, d in away.items()]
+    closer = [
+        ("ae_adaptive", f"closer_than_{m}", statistics.mean(d - near)) for m, d in away.items()
+    ]
     return found + closer
 
 
