@@ -46,7 +46,7 @@ def _items(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
 @click.command(cls=Command)
 @click.argument("study", nargs=-1, shell_complete=_studies, help="Names of studies; default: all.")
 @scale_option(
-    "quick", "quick: minutes, coarse; paper: more than an hour, the papers' numbers of replications."
+    "quick", "quick: minutes, coarse; paper: an hour or two, the papers' numbers of replications."
 )
 @click.option(
     "--only",

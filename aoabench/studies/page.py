@@ -88,7 +88,8 @@ def _rows(everything: list[Study], verdicts: Verdicts) -> list[Row]:
         row["errata"] = [e["id"] for e in study.errata if e["id"] in named]
         row["chosen_text"] = CHOSEN.get(row["chosen"], "")
         row["statement"] = row["class"] == "statement"
-        row["command"] = sections.command(study, item, "quick" if item.judged_at == "any" else "paper")
+        scale = "quick" if item.judged_at == "any" else "paper"
+        row["command"] = sections.command(study, item, scale)
     return rows
 
 

@@ -33,7 +33,7 @@ def screen(verdicts: Verdicts, studies: Sequence[Study]) -> str:
     lines = [*_counts(counted), ""]
     named = list(_interesting(verdicts, studies))
     if named:
-        lines.append("most interesting (of each study those that fail by most standard errors first):")
+        lines.append("most interesting (of each study first what fails by most standard errors):")
         lines += [line for row in named for line in _two_lines(row)]
     return "\n".join(lines).rstrip()
 
@@ -49,13 +49,14 @@ def _counts(counted: pd.DataFrame) -> Iterator[str]:
         yield f"{name:22}" + "".join(f"{found.get(word, 0):>12}" for word in _COUNTED)
 
 
-def _interesting(verdicts: Verdicts, studies: Sequence[Study]) -> list[dict[str, Any]]:
-    """At most MOST readings of judged claims that can fail: from each study in turn, those that fail
-    or depend before the others, and among equals by their distance from the limit in standard errors.
+def _interesting(verdicts: Verdicts, studies: Sequence[Study]) -> list[dict[Any, Any]]:
+    """At most MOST readings of judged claims that can fail: from each study in turn, those that
+    fail or depend before the others, and among equals by their distance from the limit in standard
+    errors.
     """
     known = {(s.name, c.id): c for s in studies for c in s.claims}
     counted = verdicts.claims[verdicts.claims["counts"].astype(bool)].set_index(["study", "id"])
-    best: dict[tuple[str, str], dict[str, Any]] = {}
+    best: dict[tuple[str, str], dict[Any, Any]] = {}
     for row in verdicts.readings.to_dict("records"):
         key = (row["study"], row["id"])
         if key not in counted.index or row["robustness"] or row["verdict"] == NOT_JUDGED:
@@ -85,7 +86,7 @@ def distance(limits: Limits, value: float, se: float) -> float:
     return away / se if se > 0 else math.inf if away > 0 else 0.0
 
 
-def _two_lines(row: Mapping[str, Any]) -> list[str]:
+def _two_lines(row: Mapping[Any, Any]) -> list[str]:
     """A claim as two lines: its verdict and words; printed, ours and reading."""
     reading = f" ({row['reading']})" if row["reading"] else ""
     first = f"  {row['verdict']:10}{row['study']} {row['item']}: {row['what']}"
@@ -93,15 +94,17 @@ def _two_lines(row: Mapping[str, Any]) -> list[str]:
     return [line if len(line) <= WIDTH else f"{line[: WIDTH - 4]} ..." for line in (first, second)]
 
 
-def _numbers(row: Mapping[str, Any]) -> str:
+def _numbers(row: Mapping[Any, Any]) -> str:
     """Printed value or claimed limits, and ours with its interval."""
     ours = f"ours {interval_text(row['ours'], row['low'], row['high'])} {row['unit']}".strip()
+    if not row["printed"]:
+        return ours
     limits = row["printed"].startswith(("<", ">", "≤", "≥"))
-    return f"{'claimed' if limits else 'printed'} {row['printed']}, {ours}" if row["printed"] else ours
+    return f"{'claimed' if limits else 'printed'} {row['printed']}, {ours}"
 
 
 def everything(claims: pd.DataFrame) -> str:
-    """All claims by study: verdict, words, numbers and reason, in lines of at most WIDTH columns."""
+    """All claims by study: verdict, words, numbers and reason, in lines of WIDTH columns."""
     lines: list[str] = []
     for study, part in claims.groupby("study", sort=False):
         lines += [str(study), "-" * len(str(study))]

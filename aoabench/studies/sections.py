@@ -1,4 +1,4 @@
-"""The parts of the page that come from one study: items with figures and provenance, errata, readings."""
+"""The parts of the page that come from one study: items with provenance, errata, readings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Row = dict[str, Any]
 def section(
     study: Study, rows: list[Row], places: Places, problems: Mapping[tuple[str, str], str]
 ) -> dict[str, Any]:
-    """What the page shows of a study; `rows` are the rows of all claims, `problems` see page.write."""
+    """What the page shows of a study, from the rows of all claims; `problems` see page.write."""
     contents = {item.name: read(study, item, places.results) for item in study.items}
     items = []
     for item in study.items:

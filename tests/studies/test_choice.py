@@ -53,8 +53,7 @@ def test_cheap_items_come_first_and_those_of_one_experiment_stay_together():
     pairs = chosen(["le2021"], None, KNOWN)
     seconds = {f"le2021/{i.name}": 1.0 for _, i in pairs} | {"le2021/zones": 2.5}
     assert names(cheapest_first(pairs, seconds)) == [
-        f"le2021/{name}"
-        for name in ("fig5", "errata", "pole", "zones", "fig6", "fig7", "table1")
+        f"le2021/{name}" for name in ("fig5", "errata", "pole", "zones", "fig6", "fig7", "table1")
     ]  # fig6, fig7, table1 share one experiment: 3 s
 
 

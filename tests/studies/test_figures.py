@@ -294,7 +294,9 @@ def test_nothing_in_readings_is_code_for_the_browser(text):
 
 def test_every_study_has_readings_with_closed_tags():
     for name in study.names():
-        html = sections.readings((study.load(name).folder / "README.md").read_text(encoding="utf-8"))
+        html = sections.readings(
+            (study.load(name).folder / "README.md").read_text(encoding="utf-8")
+        )
         assert "<h4>" in html
         for tag in ("p", "ul", "ol", "li", "table", "tr", "td", "th", "h4", "code", "pre", "div"):
             assert len(re.findall(rf"<{tag}\b", html)) == html.count(f"</{tag}>"), f"{name} {tag}"

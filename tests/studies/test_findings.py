@@ -58,7 +58,9 @@ def test_a_list_replaces_what_stands_between_the_marks(tmp_path):
     readme = tmp_path / "README.md"
     readme.write_text("a\n<!-- findings -->\n1. old\n2. old\n<!-- /findings -->\nb\n")
     findings.write_into(readme, ["new \\1", "next"])
-    assert readme.read_text() == "a\n<!-- findings -->\n1. new \\1\n2. next\n<!-- /findings -->\nb\n"
+    assert (
+        readme.read_text() == "a\n<!-- findings -->\n1. new \\1\n2. next\n<!-- /findings -->\nb\n"
+    )
 
 
 def test_readme_says_what_the_committed_tables_say():

@@ -51,7 +51,14 @@ def test_each_study_is_named_in_turn_failures_and_far_ones_first():
 def test_what_does_not_count_is_not_named():
     assert screen.screen(*made_up(WORDS, counts=False)) == "no claims that can fail"
     verdicts, studies = made_up([("a", "not judged")])
-    assert screen.screen(verdicts, studies).splitlines()[1].split() == ["a", "0", "0", "0", "0", "1"]
+    assert screen.screen(verdicts, studies).splitlines()[1].split() == [
+        "a",
+        "0",
+        "0",
+        "0",
+        "0",
+        "1",
+    ]
     assert "interesting" not in screen.screen(verdicts, studies)
 
 
