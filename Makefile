@@ -2,6 +2,8 @@
 SHELL   := /bin/bash
 SCALE   ?= quick
 STUDY   ?=
+# COMMIT=1: report, bench and notebooks replace the committed files instead of writing results/draft
+export COMMIT ?=
 VENV    := .venv
 BIN     := $(VENV)/bin
 READY   := $(VENV)/.ready
@@ -18,14 +20,16 @@ PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do 
 
 help:
 	@echo "make reproduce-figures [SCALE=quick|paper] [STUDY=nurminen2018]   tables, figures, page and verdicts"
-	@echo "make report       draw the figures and the page again from the committed tables"
+	@echo "                  quick: to results/quick, which git ignores; paper: to results"
+	@echo "make report       draw the figures and the page again from the committed tables, to results/draft"
 	@echo "make test         the whole test suite"
 	@echo "make test-processors   the kernels' tests as if for a processor with AVX2 only, and for one with SSE2 only"
 	@echo "make lint         ruff and mypy"
-	@echo "make bench        speed and memory, against other libraries too, to results/bench and docs/bench.md (15 minutes)"
-	@echo "make notebooks    execute results/notebooks in place"
+	@echo "make bench        speed and memory, against other libraries too, to results/draft/bench (15 minutes)"
+	@echo "make notebooks    execute results/notebooks, to results/draft/notebooks"
+	@echo "make report|bench|notebooks COMMIT=1   replace the committed files instead of writing results/draft"
 	@echo "make lock         resolve requirements.lock again (needs uv)"
-	@echo "make clean        remove the environment and the raw replications"
+	@echo "make clean        remove the environment, the raw replications, quick results and drafts"
 
 setup: $(READY)
 
@@ -73,11 +77,13 @@ $(VENV)/.bench: $(READY)
 	@touch $@
 
 notebooks: $(READY)
-	@for f in results/notebooks/*.ipynb; do $(BIN)/jupyter execute --inplace "$$f" || exit 1; done
+	@mkdir -p results/draft/notebooks
+	@for f in results/notebooks/*.ipynb; do $(BIN)/jupyter execute "$$f" --timeout=60 \
+		--output="$(if $(filter 1,$(COMMIT)),$(CURDIR)/$$f,$(CURDIR)/results/draft/notebooks/$$(basename "$$f"))" || exit 1; done
 
 lock:
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --no-header --no-annotate -o requirements.lock
 
 clean:
-	rm -rf $(VENV) results/raw .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) results/raw results/quick results/draft .pytest_cache .mypy_cache .ruff_cache

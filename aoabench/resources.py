@@ -1,8 +1,9 @@
-"""Shipped folders and versions of installed libraries."""
+"""Shipped folders, the folder that output goes to, and versions of installed libraries."""
 
 from __future__ import annotations
 
 import functools
+import os
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,17 @@ def shipped(folder: str) -> Path:
     return inside if inside.is_dir() else package.parent / folder
 
 
+def output_folder() -> Path:
+    """`results`, whose files are committed, with COMMIT=1 in the environment; else results/draft,
+    which git ignores.
+    """
+    return Path("results") if os.environ.get("COMMIT") == "1" else Path("results/draft")
+
+
 @functools.cache
 def printed(study: str) -> dict[str, Any]:
-    """Numbers printed in a study's paper, by the ids of their claims in claims.yaml; None for a claim
-    without a number.
+    """Numbers printed in a study's paper, by the ids of their claims; None for a claim without a
+    number.
     """
     import yaml
 

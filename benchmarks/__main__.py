@@ -1,4 +1,5 @@
-"""`make bench`: speed and memory to results/bench (a table and a figure) and docs/bench.md.
+"""`make bench`: speed and memory, a table and a figure, to results/draft/bench; with COMMIT=1 in
+the environment to results/bench and docs/bench.md.
 
 A part gives rows; nothing is asserted, because a shared machine is noisy. Actions to compare run in
 turn, and the medians are taken, so that a load of the machine slows all of them.
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from aoabench.resources import output_folder
 from aoabench.store.files import write_frame
 from benchmarks import filters, growth, kernels, process, show, snapshots
 from benchmarks.timing import Row
@@ -37,12 +39,13 @@ PARTS: dict[str, Part] = {
     )
 }
 PAGE = Path("docs/bench.md")
+COMMITTED = Path("results/bench/bench.parquet")
 
 
 def main() -> None:
     """Measure all or some parts, merge the rows with the stored ones, write table and figure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("--results", default="results", type=Path)
+    parser.add_argument("--results", default=output_folder(), type=Path)
     parser.add_argument("--repeats", default=7, type=int)
     parser.add_argument(
         "--only",
@@ -54,13 +57,15 @@ def main() -> None:
     )
     given = parser.parse_args()
     path = given.results / "bench" / "bench.parquet"
-    frame = pd.read_parquet(path) if path.exists() else pd.DataFrame({"part": []})
+    draft = given.results == output_folder() and not path.exists()
+    stored = COMMITTED if draft else path  # a draft begins with the committed rows
+    frame = pd.read_parquet(stored) if stored.exists() else pd.DataFrame({"part": []})
     for name in PARTS:
         if name in given.only:
             frame = merged(frame, name, measured(name, given.repeats))
             write_frame(path, frame)  # after each part, so that an interruption loses no part
     show.draw(frame, path.with_suffix(".png"))
-    if PAGE.exists() and given.results == Path("results"):
+    if PAGE.exists() and path == COMMITTED:
         show.write_into(PAGE, show.markdown(frame))
     print(f"written to {path}")
 

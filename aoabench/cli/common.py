@@ -152,11 +152,21 @@ def results_options(command: Decorated) -> Decorated:
     return click.option(
         "--results",
         type=click.Path(path_type=Path),
-        default=Path("results"),
-        show_default=True,
         shell_complete=_folders,
-        help="Folder of tables, figures and page.",
+        help="Folder of tables, figures, page and replications.  [default: results/quick at quick "
+        "scale, results at paper scale]",
     )(command)
+
+
+def scale_option(default: str, explained: str) -> Callable[[Decorated], Decorated]:
+    """The option --scale of a command."""
+    return click.option(
+        "--scale",
+        type=Choice(["quick", "paper"]),
+        default=default,
+        show_default=True,
+        help=explained,
+    )
 
 
 def formats(format_: str | None) -> list[str]:

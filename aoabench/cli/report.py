@@ -7,30 +7,42 @@ from pathlib import Path
 
 import click
 
-from aoabench.cli.common import Command, formats, json_option, print_json, results_options, say
+from aoabench.cli.common import (
+    Command,
+    formats,
+    json_option,
+    print_json,
+    results_options,
+    say,
+    scale_option,
+)
 from aoabench.cli.show import studies_json
 
 
 @click.command(cls=Command)
+@scale_option("paper", "Which tables: paper, the committed ones in results; quick, results/quick.")
 @results_options
 @json_option
-def report(results: Path, format_: str | None, as_json: bool) -> None:
+def report(scale: str, results: Path | None, format_: str | None, as_json: bool) -> None:
     """Draw figures and page again from stored tables.
 
-    Nothing is simulated.
+    Nothing is simulated. Figures and page of the committed tables go to results/draft, which git
+    ignores; with COMMIT=1 in the environment they replace the committed ones.
 
     \b
     Examples:
       aoabench report
       aoabench report --format pdf
+      aoabench report --scale quick
 
-    With --json: `results`, the folder; `verdicts`, a row for each claim; `readings`, one for each reading of
-    a claim;
-    `not_computed`, the items without a table, each with the reason; `page`, its path.
+    With --json: `results`, the folder; `verdicts`, a row for each claim; `readings`,
+    one for each reading of a claim; `not_computed`, the items without a table, each with the reason; `page`, its path.
     """
+    from aoabench.studies import places
     from aoabench.studies import reproduce as reproducing
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
-    drawn = reproducing.draw(reproducing.all_studies(), results, say, formats=formats(format_))
+    where = places.of_report(scale, results)
+    drawn = reproducing.draw(reproducing.all_studies(), where, say, formats(format_))
     if as_json:
-        print_json(studies_json(drawn, results))
+        print_json(studies_json(drawn, where.results))

@@ -46,9 +46,10 @@ class RunReport:
     precision: tuple[Mapping[str, Any], ...] = ()
 
 
-def run(cells: Sequence[Cell], progress: bool = True, fresh: bool = False) -> RunReport:
+def run(cells: Sequence[Cell], progress: bool | str = True, fresh: bool = False) -> RunReport:
     """Compute the missing parts of all cells and make the tables. The cells share one runner.out.
-    With `fresh`, compute all of their parts and replace the stored ones.
+    With `fresh`, compute all of their parts and replace the stored ones. A text as `progress`
+    stands before the progress bar.
 
     Raises UserError if the output folder cannot be written or holds anything but runs, or if code
     or a data file was changed after this process loaded it; RunError for an error during the run (a
@@ -75,7 +76,7 @@ class _Run:
         cells: Sequence[Cell],
         keys: RunKeys,
         lock: Lock,
-        progress: bool,
+        progress: bool | str,
         fresh: bool,
     ) -> None:
         self.out, self.cells, self.progress, self.lock = out, cells, progress, lock

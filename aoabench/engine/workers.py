@@ -30,7 +30,7 @@ def cores(n_jobs: int) -> int:
 def compute_all(
     tasks: Sequence[Task],
     out: Path,
-    progress: bool,
+    progress: bool | str,
     note: Callable[[Task, Mapping[str, Loss]], None],
     skip: Callable[[Task], bool],
 ) -> None:
@@ -110,7 +110,7 @@ def _on_a_cluster(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Path) 
             yield number, losses
 
 
-def prepare(tasks: Sequence[Task], progress: bool) -> None:
+def prepare(tasks: Sequence[Task], progress: bool | str) -> None:
     """Let estimators compile or load their data once in this process, before all workers need it at
     the same time.
     """
@@ -138,9 +138,9 @@ def _start_worker(path: list[str], parent: int) -> None:
 
 
 @contextmanager
-def _bar(total: int, shown: bool) -> Iterator[Any]:
-    """A progress bar on standard error with replications done, rate and time left; hidden unless
-    standard error is a terminal.
+def _bar(total: int, shown: bool | str) -> Iterator[Any]:
+    """A progress bar on standard error with the text `shown`, replications done, rate and time
+    left; hidden unless standard error is a terminal.
     """
     from rich.console import Console
     from rich.progress import (
@@ -153,9 +153,9 @@ def _bar(total: int, shown: bool) -> Iterator[Any]:
 
     console = Console(stderr=True)
     # FORCE_COLOR makes rich take any file for a terminal
-    watched = shown and console.is_terminal and sys.stderr.isatty()
+    watched = bool(shown) and console.is_terminal and sys.stderr.isatty()
     columns = (
-        TextColumn("replications"),
+        TextColumn(shown if isinstance(shown, str) else "replications"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]}"),

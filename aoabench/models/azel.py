@@ -147,14 +147,18 @@ def _calibration_of(noise: Noise | None) -> Calibration:
 
 
 @lru_cache(maxsize=32)
-def adaptive_table(sigma: float) -> tuple[Array, Array]:
+def adaptive_table(sigma: float, about: str = "truth") -> tuple[Array, Array]:
     """Deviations (azimuth, elevation), each (181,) rad, of Model I at -90, -89 ... 90 degrees
     [Nurminen 2018, Fig. 1].
 
-    `sigma` is the nominal deviation in rad; both results are root mean square errors.
+    `sigma` is the nominal deviation in rad. Both results are root mean square errors; about the
+    "mean", that of the elevation is its standard deviation (the azimuth's mean error is 0).
     """
     grid = np.deg2rad(np.arange(-90.0, 91.0))
-    return flipped_azimuth_std(grid, sigma), flipped_elevation_moments(grid, sigma)[1]
+    bias, elevation = flipped_elevation_moments(grid, sigma)
+    if about == "mean":
+        elevation = np.sqrt(np.maximum(elevation**2 - bias**2, 0.0))
+    return flipped_azimuth_std(grid, sigma), elevation
 
 
 @dataclass(frozen=True)
@@ -166,6 +170,11 @@ class AzElAdaptive(AzEl):
 
     noise: Noise | None = param(
         None, "noise whose nominal deviation the table of Model I is computed for", kind=Noise
+    )
+    adaptive_about: str = param(
+        "truth",
+        "deviations about the truth (root mean square errors), or about the mean",
+        choices=("truth", "mean"),
     )
     kernel = "azel_adaptive"
 
@@ -194,16 +203,19 @@ class AzElAdaptive(AzEl):
         """
         index = np.rint(np.rad2deg(expected[..., 1::2]) + 90.0)
         index = np.nan_to_num(index, nan=90.0).astype(np.intp)
-        return interleave(tuple(table[index] for table in _adaptive_variances(self.nominal())))
+        return interleave(tuple(table[index] for table in self._variances()))
 
     def variances(self) -> Array:
         """Table (181, 2) rad^2 of the variances of azimuth and elevation at -90, -89 ... 90
         degrees.
         """
-        return np.stack(_adaptive_variances(self.nominal()), axis=-1)
+        return np.stack(self._variances(), axis=-1)
+
+    def _variances(self) -> tuple[Array, Array]:
+        return _adaptive_variances(self.nominal(), self.adaptive_about)
 
 
 @lru_cache(maxsize=32)
-def _adaptive_variances(sigma: float) -> tuple[Array, Array]:
-    azimuth, elevation = adaptive_table(sigma)
+def _adaptive_variances(sigma: float, about: str) -> tuple[Array, Array]:
+    azimuth, elevation = adaptive_table(sigma, about)
     return azimuth**2, elevation**2

@@ -1,7 +1,10 @@
 """An animated track from the traces that `aoabench replay` writes, one per estimator, of one
 replication:
 
-python -m aoabench.report.animation TRACE [TRACE ...] --out results/figures/track.gif
+python -m aoabench.report.animation TRACE [TRACE ...] --out FILE.gif
+
+Without --out it writes results/draft/figures/track.gif, with COMMIT=1 in the environment the
+committed results/figures/track.gif.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aoabench.report import plots
+from aoabench.resources import output_folder
 from aoabench.store.files import read_provenance, write_atomically
 
 if TYPE_CHECKING:
@@ -131,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         metavar="TRACE",
         help="<cell>-<estimator>-<replication>.parquet",
     )
-    parser.add_argument("--out", type=Path, default=Path("results/figures/track.gif"))
+    parser.add_argument("--out", type=Path, default=output_folder() / "figures" / "track.gif")
     given = parser.parse_args(arguments)
     traces = {path.stem.split("-")[1]: pd.read_parquet(path) for path in given.traces}
     anchors = read_provenance(given.traces[0])["config"]["scenario"]["anchors"]

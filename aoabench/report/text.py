@@ -27,10 +27,15 @@ def number_text(value: float, se: float) -> str:
 
 
 def interval_text(value: float, low: float, high: float) -> str:
-    """A number with its interval, to two digits of the interval's half-width."""
+    """A number with its interval, to two digits of the interval's half-width; a number without
+    error alone.
+    """
+    if value != value:
+        return "-"
     half = (high - low) / 2
-    if half != half or not 1e-12 * abs(value) < half < 1e6:  # unknown, 0 up to rounding, or huge
-        ends = "" if half != half else f" [{low:.4g}, {high:.4g}]"
-        return f"{value:.4g}{ends}"
+    if half != half or half <= 1e-12 * abs(value):
+        return f"{value:.4g}"
+    if half >= 1e6:
+        return f"{value:.4g} [{low:.4g}, {high:.4g}]"
     digits = max(0, 1 - floor(log10(half)))
     return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"

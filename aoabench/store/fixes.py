@@ -1,4 +1,4 @@
-"""Every fix of replications that share their true positions."""
+"""Every fix of replications: as stored where they share their true positions, else from steps."""
 
 from __future__ import annotations
 
@@ -47,6 +47,11 @@ class Fixes:
     sigma_y_m: np.ndarray | None = None
     sigma_z_m: np.ndarray | None = None
 
+    def first(self, count: int) -> Fixes:
+        """The fixes of the first `count` replications."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(Fixes)}
+        return Fixes(**{n: None if a is None else a[:count] for n, a in arrays.items()})
+
 
 _FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", "outcome", "place")
 
@@ -65,6 +70,32 @@ def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
     return Fixes(
         **{n: None if any(a is None for a in v) else np.concatenate(v) for n, v in each.items()}  # type: ignore[arg-type]
     )
+
+
+_OF_STEPS = ("error_3d_m", "error_xy_m", "score", "anchors_used")
+
+
+def steps(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
+    """Errors, outcome, score and anchors_used of one estimator's steps in one cell of a run with
+    store.steps=true, whatever the true positions; the other fields are NaN or None.
+
+    Raises UserError if none are stored.
+    """
+    root = Path(out)
+    entry = entry_of(root, cell, estimator)
+    parts = [] if entry is None else intact_parts(root, entry["key"])
+    if entry is None or not any("steps" in part.files for part in parts):
+        raise UserError(f"{out}: no steps of {estimator!r} in cell {cell!r}; set store.steps=true")
+    columns = ["replication", "outcome", *_OF_STEPS]
+    found: dict[str, list[np.ndarray]] = {name: [] for name in ("outcome", *_OF_STEPS)}
+    for part in noted_parts(root, entry, "steps", columns, parts):
+        count = len(set(part["replication"].to_pylist()))
+        codes = [Outcome[text.upper()] for text in part["outcome"].to_pylist()]
+        found["outcome"].append(np.array(codes, dtype=np.int8).reshape(count, -1))
+        for name in _OF_STEPS:
+            found[name].append(part[name].to_numpy().reshape(count, -1))
+    whole = {name: np.concatenate(arrays) for name, arrays in found.items()}
+    return Fixes(**whole, iterations=np.full(whole["outcome"].shape, np.nan))
 
 
 def _fixes(part: pa.Table) -> Fixes:

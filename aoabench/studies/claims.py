@@ -23,7 +23,11 @@ CLASSES = {
     "own": "a diagnostic of ours",
 }
 QUANTIFIERS = ("for all", "exists", "typical")
-CHOSEN = ("paper", "before", "after")  # who set a limit: the paper, or we before or after our result
+CHOSEN = (
+    "paper",
+    "before",
+    "after",
+)  # who set a limit: the paper, or we before or after our result
 BOUNDS = ("above", "at_least", "below", "at_most")
 QUOTED_WORDS = 12  # the longest quotation
 
@@ -40,7 +44,8 @@ class Limits:
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read a claim: the patterns of the ids of our numbers, and what sets it apart.
+    """One way to read a claim: patterns of the ids of our numbers, of any item, and what sets it
+    apart.
 
     A reading for `robustness` changes what the paper states (another layout); it is shown and not
     counted.
@@ -194,7 +199,10 @@ def _fault(claim: Claim) -> str:
             return f"limits: one of {', '.join(BOUNDS)} is needed for a statement"
         if bounds and claim.chosen not in CHOSEN:
             return f"chosen {claim.chosen!r}: who set the limits; allowed: {', '.join(CHOSEN)}"
-    if len({"above", "at_least"} & set(bounds)) == 2 or len({"below", "at_most"} & set(bounds)) == 2:
+    if (
+        len({"above", "at_least"} & set(bounds)) == 2
+        or len({"below", "at_most"} & set(bounds)) == 2
+    ):
         return "limits: above excludes at_least, and below excludes at_most"
     if claim.kind == "fitted" and (claim.printed is None or not claim.tolerance):
         return "printed and tolerance: needed for a target of the fit"

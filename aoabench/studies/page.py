@@ -14,9 +14,10 @@ from aoabench.errors import RunError
 from aoabench.maths.digest import flatten
 from aoabench.report.text import interval_text, number_text
 from aoabench.store.files import read_provenance, read_table, write_atomically
+from aoabench.studies.places import Places
 from aoabench.studies.statements import Verdicts, headline
 from aoabench.studies.stored import OTHER_VERSION, read
-from aoabench.studies.study import Study, figure_path, table_path
+from aoabench.studies.study import Study, figure_path
 from aoabench.studies.verdict import DEPENDS, FAILS, HOLDS, NOT_JUDGED, UNDECIDED
 
 BENCH = ("what", "detail", "value", "unit", "target", "how")
@@ -32,11 +33,11 @@ VERDICTS = {
 def write(
     everything: list[Study],
     verdicts: Verdicts,
-    results: Path,
+    places: Places,
     problems: Mapping[tuple[str, str], str] | None = None,
 ) -> Path:
-    """Write <results>/report/index.html and return its path; `problems` maps (study, item) to the
-    reason why a figure is missing ("" if none).
+    """Write report/index.html in `places.drawn` and return its path; `problems` maps (study, item)
+    to the reason why a figure is missing ("" if none).
     """
     import jinja2
 
@@ -58,16 +59,16 @@ def write(
         everything, key=lambda s: not s.claims
     )  # a leaderboard has no printed numbers and comes last
     html = environment.get_template("page.html.j2").render(
-        studies=[_study(s, rows, results, problems or {}) for s in ordered],
+        studies=[_study(s, rows, places, problems or {}) for s in ordered],
         rows=rows,
         counts=verdicts.claims["verdict"].value_counts().to_dict(),
         headline=headline(verdicts.claims),
         classes=VERDICTS,
-        bench=_bench(results / "bench" / "bench.parquet"),
+        bench=_bench(places.bench / "bench.parquet"),
         script=(Path(__file__).parent / "page.js").read_text(encoding="utf-8"),
         style=(Path(__file__).parent / "page.css").read_text(encoding="utf-8"),
     )
-    path = results / "report" / "index.html"
+    path = places.drawn / "report" / "index.html"
     write_atomically(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
     return path
 
@@ -75,16 +76,16 @@ def write(
 def _study(
     study: Study,
     rows: list[dict[str, Any]],
-    results: Path,
+    places: Places,
     problems: Mapping[tuple[str, str], str],
 ) -> dict[str, Any]:
     items = []
     found: dict[str, Any] = {}
     for item in study.items:
-        content = read(study, item, results)
+        content = read(study, item, places.results)
         found |= content.values
         problem = content.problem or problems.get((study.name, item.name), "").partition(" (")[0]
-        figure = figure_path(results, study, item)
+        figure = figure_path(places.drawn, study, item)
         good = content.present and not problem
         origin = content.origin if good else {}
         scale = f" --scale {origin['scale']}" if origin.get("scale", "quick") != "quick" else ""

@@ -14,23 +14,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
 from aoabench.config.overrides import file_setting
 from aoabench.engine import runner
 from aoabench.engine.faults import writable
-from aoabench.errors import UserError, did_you_mean
+from aoabench.errors import UserError
 from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
-from aoabench.store.fixes import fixes
-from aoabench.studies import page, statements, stored, study
+from aoabench.store.fixes import Fixes, fixes, steps
+from aoabench.studies import page, progress, statements, stored, study
+from aoabench.studies.choice import Pair, cheapest_first, chosen
+from aoabench.studies.decide import needs
+from aoabench.studies.places import Places
 from aoabench.studies.statements import Verdicts
 
 Echo = Callable[[str], None]
+_READERS = {"fixes": fixes, "steps": steps}
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Result of `draw`: the verdicts of the named studies, the reason by (study, item) why a table
+    """Result of `draw`: the verdicts on the chosen items, the reason by (study, item) why a table
     cannot be used ("" if it can), and the path of the page.
     """
 
@@ -58,70 +63,134 @@ def reproduce(
     names: Sequence[str],
     scale: str,
     only: str | None,
-    results: Path,
+    places: Places,
     echo: Echo,
     formats: Sequence[str] = ("png",),
     fresh: bool = False,
 ) -> Reproduced:
-    """Compute the items of the named studies (all if none is named) at a scale, then draw them;
-    with `fresh`, reuse no stored replications.
+    """Compute the items that `choice.chosen` selects at a scale, cheap ones first, draw each as
+    soon as it is computed, and write verdicts and page. With `fresh`, reuse no stored replications.
 
     Raises UserError for an unknown study or item.
     """
-    known = all_studies()
-    for name in names:
-        if name not in known:
-            raise UserError(
-                f"study {name!r}: unknown"
-                f"{did_you_mean(name, known) or '; allowed: ' + ', '.join(known)}"
-            )
-    chosen = [study.load(name) for name in (names or known)]
-    items = [(s, item) for s in chosen for item in s.items if only is None or item.name == only]
-    if only is not None and not items:
-        present = [item.name for s in chosen for item in s.items]
-        raise UserError(
-            f"--only={only}: unknown item"
-            f"{did_you_mean(only, present) or '; allowed: ' + ', '.join(present)}"
-        )
-    writable(str(results), "--results")
-    computed = []
-    for s, item in items:
-        begin = time.perf_counter()
-        frame, origin = compute(s, item, scale, results, fresh)
-        seconds = round(time.perf_counter() - begin, 2)
-        origin = {**provenance(origin), "scale": scale, "seconds": seconds}
-        write_frame(study.table_path(results, s, item), frame, origin)
-        row = {"study": s.name, "item": item.name, "rows": len(frame)}
-        computed.append({**row, "seconds": origin["seconds"]})
-        echo(f"{s.name} {item.name}: {len(frame)} rows, {origin['seconds']:.1f} s ({scale})")
-    only_items = {item.name for _, item in items}
-    drawn = draw([s.name for s in chosen], results, echo, only_items, formats)
-    return Reproduced(computed, drawn)
+    pairs = cheapest_first(chosen(names, only, all_studies()), scale)
+    writable(str(places.results), "--results")
+    pace = progress.Pace(pairs, scale)
+    computed: list[dict[str, Any]] = []
+    problems: dict[tuple[str, str], str] = {}
+    for s, item in pairs:
+        title = f"{s.name} {item.name} ({pace.text()})"
+        row = _compute_table(s, item, scale, places, fresh, title)
+        pace.done(row["seconds"])
+        computed.append(row)
+        rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s ({scale})"
+        echo(f"{rows}; {pace.text()}")
+        problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
+    return Reproduced(computed, _conclude(pairs, problems, places, echo))
+
+
+def decide(
+    names: Sequence[str],
+    only: str | None,
+    places: Places,
+    echo: Echo,
+    formats: Sequence[str] = ("png",),
+    budget_s: float = 600.0,
+) -> Reproduced:
+    """Add replications to the stored tables of paper scale until no claim on the chosen items is
+    undecided that more replications would decide, or until the next item would not fit into
+    `budget_s` seconds.
+
+    Raises UserError for an unknown study or item.
+    """
+    pairs = chosen(names, only, all_studies())
+    writable(str(places.results), "--results")
+    computed: list[dict[str, Any]] = []
+    problems: dict[tuple[str, str], str] = {}
+    begin = time.perf_counter()
+    while True:
+        wanted = needs(pairs, places.results)
+        left_s = budget_s - (time.perf_counter() - begin)
+        fits = [need for need in wanted.items if need.expected_s <= left_s]
+        if not fits:
+            break
+        s, item, reps = fits[0].study, fits[0].item, fits[0].reps
+        echo(f"{s.name} {item.name}: N = {reps} instead of {fits[0].stored} for "
+             f"{', '.join(fits[0].claims)}; {progress.duration(fits[0].expected_s)}")  # fmt: skip
+        title = f"{s.name} {item.name}, N = {reps}"
+        computed.append(_compute_table(s, item, "paper", places, False, title, reps))
+        problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
+    for need in wanted.items:
+        echo(f"{', '.join(need.claims)}: N = {need.reps} takes about "
+             f"{progress.duration(need.expected_s)}, beyond --budget")  # fmt: skip
+    for claim, reason in wanted.left.items():
+        echo(f"{claim}: {reason}")
+    return Reproduced(computed, _conclude(pairs, problems, places, echo))
+
+
+def _compute_table(
+    s: study.Study,
+    item: study.Item,
+    scale: str,
+    places: Places,
+    fresh: bool,
+    title: str,
+    reps: int | None = None,
+) -> dict[str, Any]:
+    """Compute and store the table of an item; return its study, item, rows and seconds."""
+    begin = time.perf_counter()
+    frame, origin = compute(s, item, scale, places.raw, fresh, title, reps)
+    seconds = round(time.perf_counter() - begin, 2)
+    origin = {**provenance(origin), "scale": scale, "seconds": seconds}
+    write_frame(study.table_path(places.results, s, item), frame, origin)
+    return {"study": s.name, "item": item.name, "rows": len(frame), "seconds": seconds}
 
 
 def compute(
-    s: study.Study, item: study.Item, scale: str, results: Path, fresh: bool = False
+    s: study.Study,
+    item: study.Item,
+    scale: str,
+    raw: Path,
+    fresh: bool = False,
+    title: str = "replications",
+    reps: int | None = None,
 ) -> tuple[Any, Any]:
-    """The table (a frame) of one item, and the config that it came from."""
+    """The table (a frame) of one item, and the config that it came from. Replications lie in the
+    folder of the study under `raw`; `title` stands before the progress bar; `reps` replaces the
+    number of replications of the scale.
+    """
     reduce = getattr(s.numbers, item.name)
     if item.experiment is None:
-        return reduce("quick" if scale == "quick" else "paper"), {
-            "function": f"experiments/{s.name}/{_file_of(reduce, s.folder)}:{item.name}",
-            "scale": scale,
-        }
-    out = results / "raw" / s.name  # one folder a study, so that its items share cells
+        with progress.shown(title):
+            return reduce(scale), {
+                "function": f"experiments/{s.name}/{_file_of(reduce, s.folder)}:{item.name}",
+                "scale": scale,
+            }
+    out = raw / s.name  # one folder a study, so that its items share cells
+    overrides = [*item.scale[scale], *([] if reps is None else [f"reps={reps}"])]
     cells = compose_cells(
-        [f"experiment={item.experiment}", *item.scale[scale], file_setting("runner.out", out)]
+        [f"experiment={item.experiment}", *overrides, file_setting("runner.out", out)]
     )
-    runner.run(cells, fresh=fresh)
-    origin = {"experiment": item.experiment, "cells": [c.config for c in cells]}
-    if item.reads == "fixes":
-        found = ((c, {name: fixes(out, c.id, name) for name in c.estimators}) for c in cells)
-        return reduce(found), origin
-    frame = tables.load(out)
-    wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
-    reps = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
-    return reduce(frame[frame["replication"] < reps]), origin
+    runner.run(cells, title, fresh)
+    origin = {
+        "experiment": item.experiment,
+        "cells": [c.config for c in cells],
+        "reps": max(c.reps for c in cells),
+    }
+    with progress.shown(title):
+        if item.reads in _READERS:
+            reader = _READERS[item.reads]
+            found = ((c, _fixes_of(c, reader, out)) for c in cells)
+            return reduce(found), origin
+        frame = tables.load(out)
+        wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
+        kept = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
+        return reduce(frame[frame["replication"] < kept]), origin
+
+
+def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, Fixes]:
+    """The fixes of a cell's replications by estimator."""
+    return {name: reader(out, cell.id, name).first(cell.reps) for name in cell.estimators}
 
 
 def _file_of(function: Callable[..., Any], folder: Path) -> str:
@@ -130,43 +199,56 @@ def _file_of(function: Callable[..., Any], folder: Path) -> str:
 
 
 def draw(
-    names: Sequence[str],
-    results: Path,
-    echo: Echo,
-    only: set[str] | None = None,
-    formats: Sequence[str] = ("png",),
+    names: Sequence[str], places: Places, echo: Echo, formats: Sequence[str] = ("png",)
 ) -> Drawn:
-    """Figures of the named studies, and verdicts and page of all, from the tables under `results`.
+    """Figures of the named studies, and verdicts and page of all, from the stored tables.
 
     Calls `echo` with a line for each table of another version, and for each study with a line that
-    lists the items without a table.
+    lists the items without a table. Raises UserError if there is no table at all.
     """
-    writable(str(results / "figures"), "--results")
-    problems: dict[tuple[str, str], str] = {}
-    for name in names:
-        s = study.load(name)
-        absent = [item.name for item in s.items if not study.table_path(results, s, item).exists()]
-        for item in s.items:
-            if only is None or item.name in only:
-                fault = stored.draw(s, item, results, tuple(formats))
-                problem = fault or stored.read(s, item, results).problem
-                problems[name, item.name] = problem
-                if problem:
-                    echo(
-                        f"{name} {item.name}: not computed: {problem}; "
-                        f"aoabench reproduce {name} --only {item.name}"
-                    )
-        if absent and only is None:
-            echo(f"{name}: not computed: {', '.join(absent)}; aoabench reproduce {name}")
+    pairs = chosen(names, None, all_studies())
+    present = {id(i): study.table_path(places.results, s, i).exists() for s, i in pairs}
+    if not any(present.values()) and not any((places.results / "tables").glob("*.parquet")):
+        raise UserError(
+            f"{places.results / 'tables'}: no tables here; allowed: a folder that `aoabench "
+            "reproduce` wrote"
+        )
+    writable(str(places.drawn / "figures"), "--results")
+    problems = {(s.name, i.name): _drawn(s, i, places, echo, formats) for s, i in pairs}
+    for s in {s.name: s for s, _ in pairs}.values():
+        absent = [item.name for item in s.items if not present[id(item)]]
+        if absent:
+            echo(f"{s.name}: not computed: {', '.join(absent)}; aoabench reproduce {s.name}")
+    return _conclude(pairs, problems, places, echo)
+
+
+def _drawn(
+    s: study.Study, item: study.Item, places: Places, echo: Echo, formats: Sequence[str]
+) -> str:
+    """Draw an item and return the reason why its table cannot be used, or ""."""
+    problem = stored.draw(s, item, places, tuple(formats))
+    problem = problem or stored.read(s, item, places.results).problem
+    if problem:
+        again = f"aoabench reproduce {s.name} --only {item.name}"
+        echo(f"{s.name} {item.name}: not computed: {problem}; {again}")
+    return problem
+
+
+def _conclude(
+    pairs: Sequence[Pair], problems: dict[tuple[str, str], str], places: Places, echo: Echo
+) -> Drawn:
+    """Write verdicts and page of all studies, and print the verdicts of the chosen items."""
     everything = [study.load(name) for name in all_studies()]
-    verdicts = statements.verdicts(everything, results)
-    write_frame(results / "tables" / "verdicts.parquet", verdicts.claims)
-    write_frame(results / "tables" / "readings.parquet", verdicts.readings)
-    html = page.write(everything, verdicts, results, problems)
+    verdicts = statements.verdicts(everything, places.results)
+    # without the time, so that equal verdicts are equal files
+    same = {key: value for key, value in provenance().items() if key != "time"}
+    write_frame(places.drawn / "report" / "verdicts.parquet", verdicts.claims, same)
+    write_frame(places.drawn / "report" / "readings.parquet", verdicts.readings, same)
+    html = page.write(everything, verdicts, places, problems)
+    mine = verdicts.of({(s.name, item.name) for s, item in pairs})
     echo("")
-    named = verdicts.of(names)
-    echo(statements.verdict_text(named.claims))
-    echo(f"tables   {results / 'tables'}")
-    echo(f"figures  {results / 'figures'}")
+    echo(statements.verdict_text(mine.claims))
+    echo(f"tables   {places.results / 'tables'}")
+    echo(f"figures  {places.drawn / 'figures'}")
     echo(f"page     {html}")
-    return Drawn(named, problems, html)
+    return Drawn(mine, problems, html)

@@ -5,7 +5,7 @@ row for each of its readings.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,24 +34,26 @@ JUDGED = {
     "chosen": str, "flips": str, "shows": float, "needed": float, "basis": str, "counts": bool,
 }  # fmt: skip
 READ = {
-    "study": str, "id": str, "reading": str, "robustness": bool, "number": str, "numbers": int,
-    "ours": float, "se": float, "low": float, "high": float, "unit": str, "verdict": str,
+    "study": str, "item": str, "id": str, "reading": str, "robustness": bool, "table": str,
+    "number": str, "numbers": int, "ours": float, "se": float, "low": float, "high": float, "unit": str, "verdict": str,
     "reason": str, "flips": str, "shows": float, "needed": float,
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """The verdicts on the claims of some studies: `claims` has a row for each claim with the columns
-    JUDGED, `readings` one for each reading with the columns READ.
+    """The verdicts on the claims of some studies: `claims` has a row for each claim, with the
+    columns JUDGED, `readings` one for each reading, with the columns READ.
     """
 
     claims: pd.DataFrame
     readings: pd.DataFrame
 
-    def of(self, names: Sequence[str]) -> Verdicts:
-        """Those of the named studies."""
-        return Verdicts(*(f[f["study"].isin(list(names))] for f in (self.claims, self.readings)))
+    def of(self, asked: Container[tuple[str, str]]) -> Verdicts:
+        """Those on the items `asked`, pairs of study and item."""
+        frames = (self.claims, self.readings)
+        kept = ([pair in asked for pair in zip(f["study"], f["item"])] for f in frames)
+        return Verdicts(*(f[k] for f, k in zip(frames, kept)))
 
 
 def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
@@ -60,44 +62,82 @@ def verdicts(studies: Sequence[Study], results: Path) -> Verdicts:
 
     claims, readings = [], []
     for study in studies:
-        contents = {item.name: stored.read(study, item, results) for item in study.items}
+        numbers = Numbers(study, results)
         for claim in study.claims:
-            item = next(i for i in study.items if i.name == claim.item)
-            found = [_read(claim, r, item, contents[item.name]) for r in claim.readings]
+            item = numbers.items[claim.item]
+            found = [_read(claim, reading, numbers) for reading in claim.readings]
             claims.append({"study": study.name, **_row(claim, item, found)})
-            readings += [{"study": study.name, "id": claim.id, **row} for row in found]
+            own = {"study": study.name, "item": item.name, "id": claim.id}
+            readings += [row | own for row in found]
     return Verdicts(
         pd.DataFrame(claims, columns=list(JUDGED)), pd.DataFrame(readings, columns=list(READ))
     )
 
 
-def _read(claim: Claim, reading: Reading, item: Item, content: stored.Stored) -> dict[str, Any]:
+class Numbers:
+    """Our numbers of a study, by id, and the items and stored tables that they come from."""
+
+    def __init__(self, study: Study, results: Path) -> None:
+        self.items = {item.name: item for item in study.items}
+        self.contents = {name: stored.read(study, i, results) for name, i in self.items.items()}
+        self.item_of = {i: name for name, c in self.contents.items() for i in c.values}
+
+    def estimate(self, number: str) -> Estimate:
+        """The number with an id."""
+        return self.contents[self.item_of[number]].values[number][0]
+
+    def count(self, number: str) -> float:
+        """The samples or replications behind a number; NaN if unknown."""
+        content = self.contents[self.item_of[number]]
+        samples = content.values[number][1]
+        return samples if samples == samples else content.reps
+
+    def of_another_scale(self, ids: Sequence[str]) -> bool:
+        """Whether one of the numbers was computed at a scale at which claims are not judged."""
+        names = {self.item_of[i] for i in ids}
+        return any(
+            self.contents[n].scale != "paper" and self.items[n].judged_at != "any" for n in names
+        )
+
+
+def _read(claim: Claim, reading: Reading, ours: Numbers) -> dict[str, Any]:
     """The row of one reading of a claim."""
     row: dict[str, Any] = dict.fromkeys(READ, math.nan)
     row |= {"reading": reading.name, "robustness": reading.robustness, "unit": claim.unit}
-    row |= {"number": "", "numbers": 0, "verdict": NOT_JUDGED, "flips": "", "reason": ""}
-    ids = reading.ids(content.values)
+    row |= {
+        "table": claim.item,
+        "number": "",
+        "numbers": 0,
+        "verdict": NOT_JUDGED,
+        "flips": "",
+        "reason": "",
+    }
+    ids = reading.ids(ours.item_of)
     if not ids:
-        return row | {"reason": content.problem or NOT_COMPUTED}
-    numbers = [content.values[i][0] for i in ids]
+        return row | {"reason": ours.contents[claim.item].problem or NOT_COMPUTED}
+    numbers = [ours.estimate(i) for i in ids]
     limits = claim.limits(normal_quantile(verdict.LEVEL))
     found = verdict.judge(numbers, limits, claim.quantifier, claim.tie)
     mine = numbers[found.decisive]
     low, high = found.interval
-    row |= {"number": ids[found.decisive], "numbers": len(ids), "ours": mine.value, "se": mine.se}
-    row |= {"low": low, "high": high}
+    number = ids[found.decisive]
+    row |= {"table": ours.item_of[number], "number": number, "numbers": len(ids)}
+    row |= {"ours": mine.value, "se": mine.se, "low": low, "high": high}
     if not claim.judged:
         return row | {"reason": _unjudged(claim, mine)}
-    if content.scale != "paper" and item.judged_at != "any":
+    if ours.of_another_scale(ids):
         return row | {"reason": OTHER_SCALE}
-    samples = content.values[ids[found.decisive]][1]
-    count = samples if samples == samples else content.reps
-    ties = "a tie" if len(ids) == 1 else f"{found.ties} of {len(ids)} are ties"
+    count = ours.count(number)
+    reasons = []
+    if found.ties:
+        some = "a tie" if len(ids) == 1 else f"{found.ties} of {len(ids)} are ties"
+        reasons.append(f"{some} (within ± {claim.tie:g} {claim.unit}".rstrip() + ")")
+    if found.word == UNDECIDED and found.ties < len(ids):
+        reasons.append(_undecided(mine, found, count, ours.items[ours.item_of[number]]))
     return row | {
         "verdict": found.word,
-        "reason": _undecided(mine, found, count) if found.word == UNDECIDED else
-        f"{ties} (within ± {claim.tie:g} {claim.unit})".replace(" )", ")") if found.ties else "",
-        "flips": _flips(claim, found) if found.word == HOLDS else "",
+        "reason": "; ".join(reasons),
+        "flips": _flips(claim, found),
         "shows": found.shows,
         "needed": found.more * count,
     }  # fmt: skip
@@ -141,31 +181,35 @@ def _unjudged(claim: Claim, ours: Estimate) -> str:
     return claim.not_judged or claim.reason or CLASSES[claim.kind]
 
 
-def _undecided(ours: Estimate, found: verdict.Judgement, count: float) -> str:
-    """What would decide an undecided reading."""
+def _undecided(ours: Estimate, found: verdict.Judgement, count: float, item: Item) -> str:
+    """What would decide an undecided reading, whose number rests on `count` units of an item."""
     if math.isnan(ours.se):
         return "too few cases for a standard error"
     if not math.isfinite(found.more):
         return "on the limit" if found.more == math.inf else "unknown interval"
     if found.more <= 1:
         return "across the limit"
-    units = np.format_float_positional(found.more * count, 2, fractional=False, trim="-")
-    count_text = f", N = {units}" if count == count else ""
-    apart = ": beyond ten times the study's" if found.more > BEYOND else ""
-    return f"{found.more:.2g} times the replications would decide{count_text}{apart}"
+    needed = np.format_float_positional(found.more * count, 2, fractional=False, trim="-")
+    known = count == count and item.counts == "replications"
+    count_text = f", N = {needed}" if known else ""
+    study_count = count if math.isnan(item.paper_reps) else item.paper_reps
+    beyond = found.more * count > BEYOND * study_count
+    apart = ": beyond ten times the study's" if beyond else ""
+    return f"{found.more:.2g} times the {item.counts} would decide{count_text}{apart}"
 
 
 def _flips(claim: Claim, found: verdict.Judgement) -> str:
-    """For which limits a statement that holds would hold as well; "" if the paper sets them."""
+    """For which limits a statement would hold; "" if the paper sets them."""
     if claim.kind != "statement" or claim.chosen == "paper":
         return ""
     low, high = (f"{end:.3g} {claim.unit}".rstrip() for end in found.flips)
     limits = claim.limits(0.0)
+    would = "holds" if found.word == HOLDS else "would hold"
     if math.isinf(limits.high):
-        return f"holds for any limit below {low}"
+        return f"{would} for any limit below {low}"
     if math.isinf(limits.low):
-        return f"holds for any limit above {high}"
-    return f"holds for any limits around {low} to {high}"
+        return f"{would} for any limit above {high}"
+    return f"{would} for any limits around {low} to {high}"
 
 
 def limits_text(claim: Claim) -> str:

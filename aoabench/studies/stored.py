@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 from aoabench.errors import RunError, WriteError
 from aoabench.maths.statistics import Estimate
 from aoabench.store.files import read_provenance, read_table
+from aoabench.studies.places import Places
+from aoabench.studies.study import Item, Study, figure_path, table_path
 
 if TYPE_CHECKING:
     import pandas as pd
-from aoabench.studies.study import Item, Study, figure_path, table_path
 
 OTHER_VERSION = "the table is of another version"
 
@@ -34,19 +35,19 @@ def table(results: Path, study: Study, item: Item) -> pd.DataFrame | None:
     return read_table(path).to_pandas() if path.exists() else None
 
 
-def draw(study: Study, item: Item, results: Path, formats: tuple[str, ...] = ("png",)) -> str:
+def draw(study: Study, item: Item, places: Places, formats: tuple[str, ...] = ("png",)) -> str:
     """Draw an item's figure from its stored table, if the item has both; return the reason why the
     table cannot be drawn, or "". The old figure of such a table is deleted.
 
     Raises WriteError if the figure cannot be written.
     """
-    path = figure_path(results, study, item)
-    if not item.figure or not table_path(results, study, item).exists():
+    path = figure_path(places.drawn, study, item)
+    if not item.figure or not table_path(places.results, study, item).exists():
         return ""
     from aoabench.report import plots
 
     try:
-        frame = table(results, study, item)
+        frame = table(places.results, study, item)
         plots.save(lambda: getattr(study.figures, item.name)(frame), path, formats)
     except WriteError:
         raise
@@ -67,18 +68,12 @@ class Stored:
     shown: pd.DataFrame | None = None  # texts to show as a table, where figures.py has NAME_table
     problem: str = ""  # why a stored table cannot be read
     origin: Mapping[str, Any] = field(default_factory=dict)  # its provenance
+    reps: float = float("nan")  # the replications behind it, where it comes from an experiment
 
     @property
     def scale(self) -> str:
         """The scale at which the table was computed; "" if it does not say."""
         return str(self.origin.get("scale", ""))
-
-    @property
-    def reps(self) -> float:
-        """The largest number of replications behind the table; NaN if it does not say."""
-        config = self.origin.get("config")
-        cells = config.get("cells", []) if isinstance(config, dict) else []
-        return max((float(cell["reps"]) for cell in cells if "reps" in cell), default=float("nan"))
 
 
 def read(study: Study, item: Item, results: Path) -> Stored:
@@ -97,4 +92,6 @@ def read(study: Study, item: Item, results: Path) -> Stored:
         key: value if isinstance(value, tuple) else (value, float("nan"))
         for key, value in found.items()
     }
-    return Stored(True, pairs, shown, origin=origin)
+    config = origin["config"] if isinstance(origin.get("config"), dict) else {}
+    known = item.paper_reps if origin.get("scale") == "paper" else float("nan")
+    return Stored(True, pairs, shown, origin=origin, reps=config.get("reps", known))

@@ -28,11 +28,25 @@ class Item:
     alt: str = ""
     figure: bool = True
     experiment: str | None = None
-    scale: Any = None  # quick, medium and paper: the overrides of an item with an experiment
-    # input of its function: replications (a tidy frame) or fixes ((cell, {estimator: fixes}) each)
+    scale: Any = None  # quick and paper: the overrides of an item with an experiment
+    seconds: Any = None  # quick and paper: about how long on two cores, for order and progress
+    # input of its function: replications (a tidy frame), or fixes or steps ((cell, {estimator:
+    # store.fixes.Fixes}) each)
     reads: str = "replications"
     judged_at: str = "paper"  # the scale that its claims need: paper, or any
+    counts: str = "replications"  # the independent units behind its standard errors
     basis: str = ""  # what the claims on it rest on, shown beside each verdict
+
+    def expected_s(self, scale: str) -> float:
+        """About how many seconds the item takes at a scale."""
+        return float((self.seconds or {}).get(scale, 10.0))
+
+    @property
+    def paper_reps(self) -> float:
+        """The replications at paper scale; NaN if they are not stated."""
+        given = [] if self.scale is None else self.scale["paper"]
+        found = [float(o.removeprefix("reps=")) for o in given if o.startswith("reps=")]
+        return found[0] if found else float("nan")
 
 
 @dataclass(frozen=True)

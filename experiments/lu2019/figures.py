@@ -104,40 +104,63 @@ def fig3_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 # --- Figure 4 -------------------------------------------------------------------------------------
 
 
+SHOWN_M = (0.001, 60.0)  # axis of the errors: from a millimetre to beyond the printed 29 m
+
+
 def fig4(frame: pd.DataFrame) -> Figure:
-    """RMSE in space and height and divergence rate against the uncertainty [Lu 2019, Fig. 4]."""
-    figure, axes = new(PAGE, 5.6, rows=3, cols=2, sharex=True, sharey="row")
+    """RMSE and median error in space and height, and divergence rate, against the uncertainty
+    [Lu 2019, Fig. 4].
+    """
+    figure, axes = new(PAGE, 6.2, rows=3, cols=2, sharex=True, sharey="row")
     for column, (kind, title) in zip(axes.T, KINDS.items()):
         for name in NAMES:
             rows = frame[(frame["an_error"] == kind) & (frame["estimator"] == name)]
             rows = rows.dropna(subset=["an_sigma_m"]).sort_values("an_sigma_m")
             for axis, part in zip(column, ("3d", "z")):
-                _rmse(axis, rows, name, part)
+                _errors(axis, rows, name, part)
             _diverged(column[2], rows, name)
-        column[0].set(title=title, yscale="log")
-        column[1].set(yscale="log")
+        for axis in column[:2]:
+            axis.set(yscale="log", ylim=SHOWN_M)
+            axis.set_yticks([0.01, 0.1, 1, 10], ["0.01", "0.1", "1", "10"])
+        column[0].set_title(title, pad=16)
         column[2].set(xlabel=SIGMA)
-    labels = ("3-D RMSE [m]", "vertical RMSE [m]", "diverged trials [%]")
+    labels = ("3-D error [m]", "vertical error [m]", "diverged trials [%]")
     for axis, label in zip(axes[:, 0], labels):
         axis.set_ylabel(label)
-    handles: dict[str, Any] = {}
-    for axis in axes[0]:
-        handles |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels())}
-    figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=4)
+    figure.legend(handles=_fig4_legend(), loc="outside upper center", ncols=3)
     return figure
 
 
-def _rmse(axis: Any, rows: pd.DataFrame, name: str, part: str) -> None:
-    """Draw a method's RMSE in space (3d) or height (z), and in a faint line the RMSE without the
-    diverged trials.
+def _fig4_legend() -> list[Any]:
+    """Handles for methods and for the three kinds of marks."""
+    from matplotlib.lines import Line2D
+
+    methods = [Line2D([], [], label=label, **STYLES[name]) for name, label in NAMES.items()]
+    rmse = Line2D([], [], color=GREY, marker="o", label="filled: RMSE of all trials")
+    median = Line2D([], [], color=GREY, marker="o", mfc="white", ls=":", label="open: median")
+    beyond = Line2D(
+        [], [], color=GREY, marker=6, ls="", label="RMSE beyond the axis, with its value"
+    )
+    return [*methods, rmse, median, beyond]
+
+
+def _errors(axis: Any, rows: pd.DataFrame, name: str, part: str) -> None:
+    """Draw a method's RMSE of all trials in space (3d) or height (z), and its median error where
+    the table has one. A RMSE beyond the axis is a mark on its edge with the value beside it.
     """
-    value, label = rows[f"rmse_{part}"], NAMES[name]
-    bars = log_bars(value, rows[f"rmse_{part}_se"].fillna(0))
-    look = {"capsize": 2, "elinewidth": 0.8, "label": label, **STYLES[name]}
-    axis.errorbar(rows["an_sigma_m"], value, yerr=bars, **look)
-    if (rows["diverged"] > 0).any():
-        faint = {"label": f"{label}, without diverged", **STYLES[name], "alpha": 0.35, "lw": 1.0}
-        axis.plot(rows["an_sigma_m"], rows[f"kept_{part}"], **faint)
+    sigma, value = rows["an_sigma_m"], rows[f"rmse_{part}"]
+    seen = value.where(value <= SHOWN_M[1])
+    bars = log_bars(seen, rows[f"rmse_{part}_se"].fillna(0))
+    axis.errorbar(sigma, seen, yerr=bars, capsize=2, elinewidth=0.8, **STYLES[name])
+    if f"median_{part}" in rows:
+        look = {**STYLES[name], "ls": ":", "lw": 1.0, "mfc": "white", "ms": 3.5}
+        axis.plot(sigma, rows[f"median_{part}"], **look)
+    for x, y in zip(sigma[seen.isna()], value[seen.isna()]):
+        colour = STYLES[name]["color"]
+        axis.plot(x, SHOWN_M[1], marker=6, color=colour, clip_on=False)
+        text = f"{y / 1000:.3g} km" if y >= 1000 else f"{y:.3g} m"
+        at = {"xytext": (0, 5), "textcoords": "offset points", "annotation_clip": False}
+        axis.annotate(text, (x, SHOWN_M[1]), ha="center", fontsize=6.5, color=colour, **at)
 
 
 def _diverged(axis: Any, rows: pd.DataFrame, name: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from aoabench.studies import reproduce as reproducing
 
-KEYS = {"schema", "results", "verdicts", "not_computed", "page"}
+KEYS = {"schema", "results", "verdicts", "readings", "not_computed", "page"}
 
 
 @pytest.fixture
@@ -28,19 +28,33 @@ def test_json_and_quiet(call, tmp_path, one_item):
     assert set(found) == {*KEYS, "scale", "items"}
     assert (found["schema"], found["scale"], found["results"]) == (1, "quick", str(tmp_path))
     (item,) = found["items"]
-    assert (item["study"], item["item"], item["rows"]) == ("nurminen2018", "table1", 14)
+    assert (item["study"], item["item"], item["rows"]) == ("nurminen2018", "table1", 30)
     assert Path(found["page"]).exists()
-    by_item = {row["item"]: row for row in found["verdicts"]}
-    assert isinstance(by_item["table1"]["ours"], float)
-    assert by_item["fig4"]["ours"] is None, "not computed: NaN is null"
+    assert {row["item"] for row in found["verdicts"]} == {"table1"}, "only what was asked"
+    assert isinstance(found["verdicts"][0]["ours"], float)
     assert "table1: 14 rows" in err, "progress goes to standard error"
 
     status, out, err = call("report", "--results", tmp_path, "--json", "-q")
     assert (status, err) == (0, "")
     drawn = strict(out)
     assert set(drawn) == KEYS
-    assert drawn["verdicts"] == found["verdicts"]
+    by_item = {row["item"]: row for row in drawn["verdicts"]}
+    assert by_item["fig4"]["ours"] is None, "not computed: NaN is null"
+    assert [r for r in drawn["verdicts"] if r["item"] == "table1"] == found["verdicts"]
     assert call("report", "--results", tmp_path, "--quiet") == (0, "", "")
     status, out, _ = call("report", "--results", tmp_path)
     assert status == 0
-    assert "printed numbers and claims" in out
+    assert "statements that can fail" in out
+
+
+@pytest.mark.parametrize(("words", "fault"), [
+    (["--decide", "--scale", "quick"], "--scale=quick: --decide adds"),
+    (["--decide", "--fresh"], "--fresh: --decide adds"),
+    (["--budget", "3"], "--budget=3: only with --decide"),
+    (["--decide", "--budget", "0"], "--budget"),
+])  # fmt: skip
+def test_words_that_exclude_each_other_are_one_line(words, fault, call):
+    status, out, err = call("reproduce", *words)
+    assert status == 2
+    assert fault in err
+    assert "Traceback" not in err

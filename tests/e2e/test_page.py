@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from aoabench.studies import claims, page, study
+from aoabench.studies.places import Places
 
 CHROMIUM = next(
     (p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None
@@ -30,7 +31,7 @@ def html(tmp_path_factory):
         shutil.copytree(COMMITTED / folder, results / folder)
     (results / "tables" / "nurminen2018_table1.parquet").unlink()
     everything = [study.load(name) for name in study.names()]
-    return page.write(everything, claims.verdicts(everything, results), results)
+    return page.write(everything, claims.verdicts(everything, results), Places.inside(results))
 
 
 def chromium(html, *options, timeout=120):

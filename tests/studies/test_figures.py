@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 
-from aoabench.maths.statistics import Estimate
 from aoabench.report import animation, plots
 from aoabench.report.text import number_text
 from aoabench.store.files import read_provenance, write_frame
 from aoabench.studies import page, reproduce, statements, stored, study
+from aoabench.studies.places import Places
 
 RESULTS = Path(__file__).parents[2] / "results"
 COMMITTED = [
@@ -142,12 +142,12 @@ def results(tmp_path):
 
 def test_a_table_of_another_version_is_one_line_and_not_computed(results):
     path = results / "tables" / "le2021_fig7.parquet"
-    reproduce.draw(["le2021"], results, lambda _: None)
+    reproduce.draw(["le2021"], Places.inside(results), lambda _: None)
     assert (results / "figures" / "le2021_fig7.png").exists()
     write_frame(path, pd.read_parquet(path).drop(columns=["iterations", "more_iterations"]))
     (results / "tables" / "nurminen2018_fig1.parquet").write_bytes(b"PAR1 torn")
     said = []
-    reproduce.draw(["le2021", "nurminen2018"], results, said.append)
+    reproduce.draw(["le2021", "nurminen2018"], Places.inside(results), said.append)
     told = [line for line in said if "another version" in line and "\n" not in line]
     assert len(told) == 2
     assert told[0].startswith(
@@ -156,7 +156,7 @@ def test_a_table_of_another_version_is_one_line_and_not_computed(results):
     assert "aoabench reproduce le2021 --only fig7" in told[0]
     assert not (results / "figures" / "le2021_fig7.png").exists(), "no old figure stays"
     rows = (
-        pd.read_parquet(results / "tables" / "verdicts.parquet")
+        pd.read_parquet(results / "report" / "verdicts.parquet")
         .set_index(["study", "item"])
         .sort_index()
     )
@@ -177,7 +177,7 @@ def test_a_table_with_a_flipped_bit_is_not_read(results):
 
 
 def test_a_deleted_table_takes_its_numbers_and_figure_from_the_page(results):
-    reproduce.draw(["nurminen2018"], results, lambda _: None)
+    reproduce.draw(["nurminen2018"], Places.inside(results), lambda _: None)
     html = (results / "report" / "index.html").read_text()
     number = number_text(
         stored.read(*find("nurminen2018_fig1"), results).values["fig1/growth_at_pole"][0].value,
@@ -187,7 +187,7 @@ def test_a_deleted_table_takes_its_numbers_and_figure_from_the_page(results):
     images = html.count("data:image/png")
     (results / "tables" / "nurminen2018_fig1.parquet").unlink()
     said = []
-    reproduce.draw(["nurminen2018"], results, said.append)
+    reproduce.draw(["nurminen2018"], Places.inside(results), said.append)
     html = (results / "report" / "index.html").read_text()
     assert f">{number}<" not in html
     assert html.count("data:image/png") == images - 1, (
@@ -198,11 +198,15 @@ def test_a_deleted_table_takes_its_numbers_and_figure_from_the_page(results):
 
 def test_the_page_copes_without_any_table_and_without_a_bench(tmp_path):
     everything = [study.load(name) for name in study.names()]
-    html = page.write(everything, statements.verdicts(everything, tmp_path), tmp_path).read_text()
+    html = page.write(
+        everything, statements.verdicts(everything, tmp_path), Places.inside(tmp_path)
+    ).read_text()
     assert "data:image" not in html
     assert html.count("Not computed.") == sum(len(s.items) for s in everything) + 1
     write_frame(tmp_path / "bench" / "bench.parquet", pd.DataFrame({"what": ["a"], "value": [1.0]}))
-    html = page.write(everything, statements.verdicts(everything, tmp_path), tmp_path).read_text()
+    html = page.write(
+        everything, statements.verdicts(everything, tmp_path), Places.inside(tmp_path)
+    ).read_text()
     assert "Not computed (the table is of another version)." in html
 
 
@@ -210,7 +214,7 @@ def test_the_page_copes_without_any_table_and_without_a_bench(tmp_path):
 def test_figures_in_other_formats_are_the_same_each_time(results, form, head):
     path, contents = results / "figures" / f"nurminen2018_fig1.{form}", []
     for _ in range(2):
-        assert stored.draw(*find("nurminen2018_fig1"), results, ("png", form)) == ""
+        assert stored.draw(*find("nurminen2018_fig1"), Places.inside(results), ("png", form)) == ""
         contents.append(path.read_bytes())
     assert contents[0].startswith(head)
     assert contents[0] == contents[1]
@@ -223,7 +227,7 @@ def test_an_embedded_figure_is_smaller_and_looks_the_same(results):
 
     from PIL import Image
 
-    stored.draw(*find("nurminen2018_fig1"), results)
+    stored.draw(*find("nurminen2018_fig1"), Places.inside(results))
     path = results / "figures" / "nurminen2018_fig1.png"
     data = base64.b64decode(page.embedded(path))
     assert len(data) < path.stat().st_size

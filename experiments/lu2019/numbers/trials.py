@@ -41,6 +41,7 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
                 "kept_z": statistics.pooled_rmse(dz[~diverged]),
                 "diverged": statistics.rate(int(diverged.sum()), len(d3)),
                 "median_3d": statistics.quantile(d3, 0.5),
+                "median_z": statistics.quantile(dz, 0.5),
                 "above_wcg": statistics.paired(d3, wide["rmse_3d_m"]["wcg"]).percent,
                 "above_wcg_z": statistics.paired(dz, wide["rmse_z_m"]["wcg"]).percent,
             }.items():

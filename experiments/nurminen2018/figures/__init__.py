@@ -11,4 +11,6 @@ from .replications import (
     frames_values,
     particles,
     particles_values,
+    readings,
+    readings_values,
 )

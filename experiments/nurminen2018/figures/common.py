@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pandas as pd
 
 from aoabench.maths.statistics import Estimate
@@ -30,18 +32,28 @@ def counts(frame: pd.DataFrame) -> str:
     return f"{frame['particles'].iloc[0]} particles, {frame['replications'].iloc[0]} replications"
 
 
-def closest(rows: pd.DataFrame) -> dict[str, Estimate]:
-    """Excess in percent of PF-AE-adaptive over the better of the other AE particle filters: the
-    larger excess in standard errors.
+def numbers_of(r: dict[str, Any], key: str) -> dict[str, Estimate]:
+    """Numbers in percent for the claims on one filter, from its row.
+
+    For an AE filter: the mean RMSE above that of the same filter with VMF, the share of laps with a
+    smaller RMSE, and the excess beyond that of the particle filter with the same model; for a VMF
+    filter the difference from PF-VMF; for AE-adaptive also that from the other AE models.
     """
-    at = {r["estimator"]: r for r in rows.to_dict("records")}
-    pf = at["pf_ae_adaptive"]
-    against = [
-        Estimate(pf[f"above_{m}_percent"], pf[f"above_{m}_se"]) for m in ("ae_nominal", "ae_fitted")
-    ]
-    return {"pf_adaptive_closest": max(against, key=significance)}
 
+    def estimate(name: str) -> Estimate:
+        return Estimate(r[f"{name}_percent"], r[f"{name}_se"])
 
-def significance(e: Estimate) -> float:
-    """An estimate in standard errors."""
-    return e.value / e.se
+    found = {}
+    if r["model"] != "vmf":
+        found["above_own_vmf"] = estimate("above_vmf")
+        if "wins_percent" in r:  # a table of an earlier version has neither
+            found["wins"] = estimate("wins")
+            if r["family"] != "pf":
+                found["beyond_pf"] = estimate("beyond_pf")
+    elif r["family"] != "pf":
+        found["mean"] = estimate("above_pf_vmf")
+        found["median"] = Estimate(r["q50"], r["median_se"])
+    if r["model"].startswith("ae_adaptive"):
+        for other in ("ae_nominal", "ae_fitted"):
+            found[f"above_{other}"] = estimate(f"above_{other}")
+    return {f"{key}/{name}": value for name, value in found.items()}

@@ -15,11 +15,17 @@ if TYPE_CHECKING:
 
 
 def table1_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
-    """Shares and fitted parameters with the number of samples behind them."""
-    return {
+    """Shares and fitted parameters with the number of samples behind them, and how much further the
+    distance of AE-adaptive from VMF is with data of Model II.
+    """
+    found = {
         f"table1/{r.data}/{r.model}/{r.quantity}": (Estimate(r.value, r.se), float(r.samples))
         for r in frame.itertuples()
     }
+    if "table1/model1/ae_adaptive/distance" in found:  # not in a table of an earlier version
+        (first, n), (second, _) = (found[f"table1/model{k}/ae_adaptive/distance"] for k in (1, 2))
+        found["table1/ae_adaptive/further_in_model2"] = (second - first, n)
+    return found
 
 
 def fig1(frame: pd.DataFrame) -> Figure:
@@ -95,17 +101,17 @@ def _view(axis: Any, frame: pd.DataFrame, plane: tuple[int, int]) -> None:
 
 
 def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Differences in deg of the angles to the measured direction: VMF filters minus prior, AE
-    filters minus VMF filters.
+    """Angles in deg of each posterior mean to the measured direction, and of each EKF's horizontal
+    step to the clockwise tangent of the circle through the prior's mean.
     """
-    angle = frame.set_index(["method", "model"])["angle_to_measurement_deg"]
+    prior = frame[frame["method"] == "prior"][["x_m", "y_m"]].to_numpy()[0]
+    tangent = np.array([prior[1], -prior[0]]) / np.linalg.norm(prior)
     found = {}
-    for method in ("ekf", "ukf"):
-        found[f"fig2/{method}/vmf_minus_prior"] = Estimate(
-            angle[method, "vmf"] - angle["prior", "prior"], 0.0
-        )
-        for model in ("ae_nominal", "ae_fitted", "ae_adaptive"):
-            found[f"fig2/{method}/{model}_minus_vmf"] = Estimate(
-                angle[method, model] - angle[method, "vmf"], 0.0
-            )
+    for r in frame.to_dict("records"):
+        key = f"fig2/{r['method']}/{r['model']}"
+        found[f"{key}/angle"] = Estimate(r["angle_to_measurement_deg"], 0.0)
+        if r["method"] == "ekf":
+            step = np.array([r["x_m"], r["y_m"]]) - prior
+            cosine = step @ tangent / np.linalg.norm(step)
+            found[f"{key}/off_tangent"] = Estimate(float(np.rad2deg(np.arccos(cosine))), 0.0)
     return found

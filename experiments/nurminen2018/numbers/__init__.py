@@ -3,5 +3,5 @@ giving one frame.
 """
 
 from .models import fig1, table1
-from .replications import adaptivity, fig3, fig4, frames, layouts, particles
+from .replications import adaptivity, fig3, fig4, frames, layouts, particles, readings
 from .update import FIG2, exact_mean, fig2

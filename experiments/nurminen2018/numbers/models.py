@@ -29,6 +29,8 @@ def table1(scale: str) -> pd.DataFrame:
         n = logliks.shape[1]
         for model, share in zip(MODELS, shares(logliks)):
             rows.append((data, model, "share", share.value, share.se, n))
+        for model, quantity, e in distances(logliks):
+            rows.append((data, model, quantity, e.value, e.se, n))
         for angle, r in zip(("azimuth", "elevation"), residuals):
             sigma = statistics.mean(r**2).root() * np.rad2deg(1.0)
             rows.append((data, "ae_fitted", f"sigma_{angle}_deg", sigma.value, sigma.se, n))
@@ -58,6 +60,24 @@ def shares(logliks: np.ndarray) -> list[Estimate]:
     share = score / score.sum()
     influence = share[:, None] * (logliks - share @ logliks)
     return [Estimate(value, statistics.mean(i).se) for value, i in zip(share, influence)]
+
+
+def distances(logliks: np.ndarray) -> list[tuple[str, str, Estimate]]:
+    """Models, quantities and values from log likelihoods (4, n).
+
+    "below_vmf": how far an AE model's mean lies below that of VMF, "distance": the size of that,
+    "closer_than_...": how much shorter AE-adaptive's distance is than another's.
+    """
+    *ae, vmf = logliks
+    below = {model: vmf - own for model, own in zip(MODELS, ae)}
+    away = {model: np.sign(d.mean()) * d for model, d in below.items()}
+    found = [(m, "below_vmf", statistics.mean(d)) for m, d in below.items()]
+    found += [(m, "distance", statistics.mean(d)) for m, d in away.items()]
+    near = away.pop("ae_adaptive")
+    closer = [
+        ("ae_adaptive", f"closer_than_{m}", statistics.mean(d - near)) for m, d in away.items()
+    ]
+    return found + closer
 
 
 def uniform_directions(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -68,7 +68,9 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
     differences of models.
 
     Columns q05 ... maximum are levels of the per-replication difference; above_X_percent is the
-    paired difference of mean RMSE from the same filter with model X (pf_vmf: from PF-VMF).
+    paired difference of mean RMSE from the same filter with model X (pf_vmf: from PF-VMF);
+    wins_percent is the share of laps with a smaller RMSE than the same filter with VMF, and
+    beyond_pf_percent the excess over that filter less the particle filter's, in percentage points.
     """
     rows = []
     for (layout, noise), group in runs.groupby(["scenario", "noise"], sort=False):
@@ -90,8 +92,28 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
             for other, against in others.items():
                 pair = statistics.paired(wide[name], wide[against]).percent
                 row |= {f"above_{other}_percent": pair.value, f"above_{other}_se": pair.se}
-            rows.append(row)
+            rows.append(row | _beside_vmf(wide, name))
     return pd.DataFrame(rows)
+
+
+def _beside_vmf(wide: pd.DataFrame, name: str) -> dict[str, float]:
+    """The columns wins_... and beyond_pf_... of a filter."""
+    family, _, model = name.partition("_")
+    pf = f"pf_{model.removesuffix('_augmented')}"
+    vmf = wide[f"{family}_vmf"]
+    wins = statistics.rate(int((wide[name] < vmf).sum()), len(wide)).percent()
+    beyond = statistics.ratio_difference(wide[name], vmf, wide[pf], wide["pf_vmf"]).percent()
+    return wins.columns("wins_percent", "wins_se") | beyond.columns(
+        "beyond_pf_percent", "beyond_pf_se"
+    )
+
+
+def readings(runs: pd.DataFrame) -> pd.DataFrame:
+    """The columns of `fig4` for AE-adaptive, with deviations about the truth and about the mean."""
+    key = "filter.pf_ae_adaptive.measurement.adaptive_about"
+    tables = [fig4(group).assign(about=about) for about, group in runs.groupby(key)]
+    both = pd.concat(tables, ignore_index=True)
+    return both[both["model"].str.startswith("ae_adaptive")].reset_index(drop=True)
 
 
 def layouts(runs: pd.DataFrame) -> pd.DataFrame:

@@ -1,0 +1,57 @@
+"""The items that a command names, in the order in which they are computed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from aoabench.errors import UserError, did_you_mean, shorten
+from aoabench.studies import study
+from aoabench.studies.study import Item, Study
+
+Pair = tuple[Study, Item]
+
+
+def chosen(names: Sequence[str], only: str | None, known: Sequence[str]) -> list[Pair]:
+    """The items of the named studies (`known` if none is named), in the order of their files; with
+    `only`, those alone that it lists, separated by commas, as ITEM or STUDY/ITEM.
+
+    Raises UserError for an unknown study or item.
+    """
+    for name in names:
+        if name not in known:
+            raise UserError(f"study {shorten(repr(name))}: unknown{_hint(name, known)}")
+    pairs = [(s, item) for s in map(study.load, names or known) for item in s.items]
+    if only is None:
+        return pairs
+    words = [word.strip() for word in only.split(",")]
+    wanted = {id(item) for word in words for item in _named(word, pairs)}
+    return [(s, item) for s, item in pairs if id(item) in wanted]
+
+
+def _named(word: str, pairs: Sequence[Pair]) -> list[Item]:
+    """The items that a word of --only names; UserError if there are none."""
+    found = [item for s, item in pairs if word in (item.name, f"{s.name}/{item.name}")]
+    if found:
+        return found
+    present = [f"{s.name}/{item.name}" for s, item in pairs]
+    if "/" not in word:
+        present = list(dict.fromkeys(item.name for _, item in pairs))
+    raise UserError(f"--only={shorten(word)}: unknown item{_hint(word, present)}")
+
+
+def _hint(word: str, known: Sequence[str]) -> str:
+    return did_you_mean(word, known) or "; allowed: " + ", ".join(known)
+
+
+def cheapest_first(pairs: Sequence[Pair], scale: str) -> list[Pair]:
+    """The items ordered by their expected seconds; items that share an experiment stay together,
+    since the first of them computes for all.
+    """
+    cost: dict[tuple[str, str], float] = {}
+    for s, item in pairs:
+        cost[_group(s, item)] = cost.get(_group(s, item), 0.0) + item.expected_s(scale)
+    return sorted(pairs, key=lambda pair: (cost[_group(*pair)], _group(*pair)))
+
+
+def _group(s: Study, item: Item) -> tuple[str, str]:
+    return s.name, item.experiment or f"{item.name} alone"
