@@ -36,7 +36,8 @@ def report(scale: str, results: Path | None, format_: str | None, as_json: bool)
       aoabench report --scale quick
 
     With --json: `results`, the folder; `verdicts`, a row for each claim; `readings`,
-    one for each reading of a claim; `not_computed`, the items without a table, each with the reason; `page`, its path.
+    one for each reading of a claim; `not_computed`, the items without a table, each with the
+    reason; `page`, its path.
     """
     from aoabench.studies import places
     from aoabench.studies import reproduce as reproducing

@@ -61,8 +61,11 @@ class Reading:
         return ", ".join(self.columns.values())
 
     def ids(self, found: Iterable[str]) -> list[str]:
-        """The ids in `found` that match, in their order there."""
-        return [i for i in found if any(fnmatchcase(i, pattern) for pattern in self.of)]
+        """The ids in `found` that match, in their order there; none if a pattern matches none."""
+        known = list(found)
+        matches = [{i for i in known if fnmatchcase(i, pattern)} for pattern in self.of]
+        every = set().union(*matches) if all(matches) else set()
+        return [i for i in known if i in every]
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ JUDGED = {
 }  # fmt: skip
 READ = {
     "study": str, "item": str, "id": str, "reading": str, "robustness": bool, "table": str,
-    "number": str, "numbers": int, "ours": float, "se": float, "low": float, "high": float, "unit": str, "verdict": str,
-    "reason": str, "flips": str, "shows": float, "needed": float,
+    "number": str, "numbers": int, "ours": float, "se": float, "low": float, "high": float,
+    "unit": str, "verdict": str, "reason": str, "flips": str, "shows": float, "needed": float,
 }  # fmt: skip
 
 
@@ -237,15 +237,16 @@ def headline(claims: pd.DataFrame) -> str:
     """How many of the statements that can fail hold, depend on the reading, fail or are open."""
     judged = claims[claims["counts"]]
     counts = judged["verdict"].value_counts()
-    texts = {
-        HOLDS: "hold in every reading",
-        DEPENDS: "depend on what the paper leaves open",
-        FAILS: "fail",
-        UNDECIDED: "are undecided",
-        NOT_JUDGED: "are not judged at this scale",
+    texts = {  # for one, and for several
+        HOLDS: ("holds in every reading", "hold in every reading"),
+        DEPENDS: ("depends on what the paper leaves open", "depend on what the paper leaves open"),
+        FAILS: ("fails", "fail"),
+        UNDECIDED: ("is undecided", "are undecided"),
+        NOT_JUDGED: ("is not judged at this scale", "are not judged at this scale"),
     }
-    parts = [f"{counts.get(word, 0)} {text}" for word, text in texts.items()
-             if counts.get(word, 0) or word in (HOLDS, DEPENDS, FAILS)]  # fmt: skip
+    always = (HOLDS, DEPENDS, FAILS)
+    found = {word: int(counts.get(word, 0)) for word in texts}
+    parts = [f"{n} {texts[w][n != 1]}" for w, n in found.items() if n or w in always]
     return f"of {len(judged)} statements that can fail, {', '.join(parts[:-1])} and {parts[-1]}"
 
 

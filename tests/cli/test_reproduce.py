@@ -32,7 +32,7 @@ def test_json_and_quiet(call, tmp_path, one_item):
     assert Path(found["page"]).exists()
     assert {row["item"] for row in found["verdicts"]} == {"table1"}, "only what was asked"
     assert isinstance(found["verdicts"][0]["ours"], float)
-    assert "table1: 14 rows" in err, "progress goes to standard error"
+    assert "table1: 30 rows" in err, "progress goes to standard error"
 
     status, out, err = call("report", "--results", tmp_path, "--json", "-q")
     assert (status, err) == (0, "")

@@ -5,6 +5,7 @@ argument, errata.
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -286,3 +287,86 @@ def test_every_erratum_names_a_test_that_exists_and_has_an_id_of_its_own():
         file, _, function = e["test"].partition("::")
         assert f"def {function}(" in (root / file).read_text(), e["id"]
         assert set(e) == {"id", "where", "printed", "correct", "test"}
+
+
+# --- claims ---------------------------------------------------------------------------------------
+
+
+def test_the_prints_own_error_is_that_of_its_samples(table1):
+    """printed_se in claims.yaml against the table's standard error at 10^5 samples; the standard
+    deviation of a heavy tail varies by a tenth.
+    """
+    rows = table1.set_index(["data", "model", "quantity"])
+    checked = 0
+    for claim in STUDY.claims:
+        if claim.item == "table1" and claim.kind == "number":
+            _, data, model, quantity = claim.id.split("/")
+            row = rows.loc[(data, model, quantity)]
+            assert claim.printed_se == pytest.approx(row["se"] * (row["samples"] / 1e5) ** 0.5, rel=0.12)  # fmt: skip
+            checked += 1
+    assert checked == 12
+
+
+def test_distances_of_models_are_paired_differences_of_mean_log_likelihoods():
+    rng = np.random.default_rng(5)
+    logliks = rng.normal(size=(4, 5000)) + [[-0.5], [-0.2], [0.1], [0.0]]
+    found = {(m, q): e for m, q, e in STUDY.numbers.models.distances(logliks)}
+    nominal, fitted, adaptive, vmf = logliks
+    assert found["ae_nominal", "below_vmf"].value == pytest.approx((vmf - nominal).mean())
+    above = (adaptive - vmf).mean()
+    assert above > 0, "the case where a distance is not a shortfall"
+    assert found["ae_adaptive", "below_vmf"].value == pytest.approx(-above)
+    assert found["ae_adaptive", "distance"].value == pytest.approx(above)
+    closer = found["ae_adaptive", "closer_than_ae_fitted"]
+    d = (vmf - fitted) - (adaptive - vmf)
+    assert closer.value == pytest.approx(d.mean())
+    assert closer.se == pytest.approx(d.std(ddof=1) / 5000**0.5)
+
+
+def test_wins_and_excess_beyond_the_particle_filter():
+    """On made-up laps: counted by hand; the excess in points against a bootstrap-free recomputation."""
+    rng = np.random.default_rng(2)
+    names = STUDY.figures.ORDER
+    wide = {n: rng.gamma(9.0, 1 + 0.2 * i / len(names), 400) for i, n in enumerate(names)}
+    runs = pd.DataFrame([
+        {"scenario": "square_track", "noise": "vmf", "estimator": n, "replication": r,
+         "rmse_3d_m": x, "filter.pf_vmf.particles": 10}
+        for n, values in wide.items() for r, x in enumerate(values)
+    ])  # fmt: skip
+    table = STUDY.numbers.fig4(runs).set_index("estimator")
+    row = table.loc["ukf_ae_fitted"]
+    assert row["wins_percent"] == pytest.approx(100 * np.mean(wide["ukf_ae_fitted"] < wide["ukf_vmf"]))
+    own = wide["ukf_ae_fitted"].mean() / wide["ukf_vmf"].mean()
+    of_pf = wide["pf_ae_fitted"].mean() / wide["pf_vmf"].mean()
+    assert row["beyond_pf_percent"] == pytest.approx(100 * (own - of_pf))
+    laps = np.stack([wide[n] for n in ("ukf_ae_fitted", "ukf_vmf", "pf_ae_fitted", "pf_vmf")])
+
+    def excess(some):
+        a, b, c, d = some.mean(axis=1)
+        return a / b - c / d
+
+    left = [excess(np.delete(laps, i, axis=1)) for i in range(400)]
+    jackknife = 100 * np.sqrt(399 * np.var(left))
+    assert row["beyond_pf_se"] == pytest.approx(jackknife, rel=0.01)
+    augmented = table.loc["ukf_ae_adaptive_augmented"]
+    own = wide["ukf_ae_adaptive_augmented"].mean() / wide["ukf_vmf"].mean()
+    of_pf = wide["pf_ae_adaptive"].mean() / wide["pf_vmf"].mean()
+    assert augmented["beyond_pf_percent"] == pytest.approx(100 * (own - of_pf))
+
+
+def test_deviations_about_the_mean():
+    """Sampled flipped angles: about the truth their root mean square error, about the mean their
+    standard deviation, +- 5 of its errors.
+    """
+    rng = np.random.default_rng(8)
+    about = {a: adaptive_table(SIGMA, a) for a in ("truth", "mean")}
+    for degrees in (-90, -80, 0, 65, 88):
+        elevation = np.full(40_000, np.deg2rad(degrees))
+        _, e = FlippedAngles(10.0).perturb(rng, np.zeros_like(elevation), elevation)
+        error = e - elevation
+        wanted = {"truth": np.sqrt(np.mean(error**2)), "mean": error.std()}
+        for a, value in wanted.items():
+            assert about[a][1][degrees + 90] == pytest.approx(value, rel=5 / np.sqrt(2 * 40_000))
+    assert np.array_equal(about["truth"][0], about["mean"][0]), "an azimuth has no mean error"
+    h = AzElAdaptive(10.0, noise=FlippedAngles(10.0), adaptive_about="mean")
+    assert np.allclose(h.variances()[:, 1], about["mean"][1] ** 2)

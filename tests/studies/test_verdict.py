@@ -121,6 +121,8 @@ def test_ties_count_neither_way():
     assert judge([tie], POSITIVE, "exists", tie=0.1).word == UNDECIDED
     wide = judge([Estimate(-0.01, 0.1), high], POSITIVE, tie=0.1)
     assert (wide.word, wide.ties) == (UNDECIDED, 0), "a tie must be shown, not assumed"
+    for value in (0.09, -0.09):  # within on one side alone
+        assert judge([Estimate(value, 0.01), high], POSITIVE, tie=0.1).ties == 0
 
 
 @pytest.mark.parametrize(("words", "expected"), [
