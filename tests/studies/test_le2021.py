@@ -2,12 +2,14 @@
 of its claims.
 """
 
+import re
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 from aoabench.config import catalogue
 from aoabench.config.compose import compose_cells
@@ -220,17 +222,21 @@ def tables():
 def test_every_claim_and_effect_is_found_and_every_figure_draws(tables):
     import matplotlib.pyplot as plt
 
-    found = {}
+    found: set[str] = set()
     for item in LE.items:
-        found[item.name] = set(getattr(LE.figures, f"{item.name}_values")(tables[item.name]))
+        found |= set(getattr(LE.figures, f"{item.name}_values")(tables[item.name]))
         figure = getattr(LE.figures, item.name)(tables[item.name])
         assert all(axis.get_xlabel() or figure.get_supxlabel() for axis in figure.axes)
         plt.close(figure)
     for claim in LE.claims:
         for r in claim.readings:
-            assert r.ids(found[claim.item]), claim.id
-    ids = {i for some in found.values() for i in some}
-    assert {e["effect"]["id"] for e in LE.errata if "effect" in e} <= ids
+            assert r.ids(found), claim.id
+    assert {e["effect"]["id"] for e in LE.errata if "effect" in e} <= found
+    text = (LE.folder / "study.yaml").read_text(encoding="utf-8")
+    finding = " ".join(yaml.safe_load(text)["finding"])
+    named = re.findall(r"\{([^:}]+)(?::[^}]*)?\}", finding)
+    assert named
+    assert {name.removesuffix(".low").removesuffix(".high") for name in named} <= found
 
 
 def test_a_claim_on_all_deviations_has_all_eight(tables):

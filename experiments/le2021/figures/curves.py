@@ -85,29 +85,26 @@ def fig6(frame: pd.DataFrame) -> Figure:
         rows = of(frame, name)
         rows = rows[rows["gross_percent"] > 0]
         curve(right, rows, "sigma_deg", "gross_percent", "gross_percent_se", **STYLES[name])
-    right.set(
-        xlabel=SIGMA, ylabel="share of errors over 10 square roots of the CRB [%]", yscale="log"
-    )
+    right.set(xlabel=SIGMA, ylabel="share of gross errors [%]", yscale="log")
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
-def fig6_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
+def fig6_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """Per deviation: RMSEs, their excess over the proposed estimator's, what few large errors do
-    not decide, the bound, and ratio to the bound and squared bias of the proposed one; each with
-    the number of positions.
+    not decide, the bound, and ratio to the bound and squared bias of the proposed one.
     """
     found = {}
     for r in frame.to_dict("records"):
-        key, n = f"fig6/{r['sigma_deg']:g}/{r['estimator']}", float(r["positions"])
+        key = f"fig6/{r['sigma_deg']:g}/{r['estimator']}"
         numbers = {"rmse": read(r, "rmse_m", "rmse_se"), "gross": read(r, "gross_percent")}
         if r["estimator"] == "ml_kcorr":
             numbers |= {"ratio": read(r, "ratio"), "bias": read(r, "bias_percent", "bias_se")}
-            found[f"fig6/{r['sigma_deg']:g}/bound"] = read(r, "bound_m", "bound_se"), n
+            found[f"fig6/{r['sigma_deg']:g}/bound"] = read(r, "bound_m", "bound_se")
         else:
             numbers["above"] = read(r, "above_percent", "above_se")
             numbers |= {word: read(r, f"{word}_percent") for word in ("capped", "kept", "median")}
-        found |= {f"{key}/{name}": (number, n) for name, number in numbers.items()}
+        found |= {f"{key}/{name}": number for name, number in numbers.items()}
     return found
 
 
@@ -131,10 +128,10 @@ def fig7(frame: pd.DataFrame) -> Figure:
     return figure
 
 
-def fig7_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
+def fig7_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """Per deviation the iterations; for the other ML estimators, paired over positions, the
     iterations more than those of the proposed one and the percentage points by which fewer
-    converge; each with the number of positions.
+    converge.
     """
     found = {}
     for r in frame[frame["estimator"] != "ls"].to_dict("records"):
@@ -143,5 +140,5 @@ def fig7_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
             numbers["more"] = read(r, "more_iterations", "more_se")
             numbers["fewer"] = read(r, "fewer_converged", "fewer_se")
         key = f"fig7/{r['sigma_deg']:g}/{r['estimator']}"
-        found |= {f"{key}/{name}": (e, float(r["positions"])) for name, e in numbers.items()}
+        found |= {f"{key}/{name}": e for name, e in numbers.items()}
     return found
