@@ -88,9 +88,7 @@ def test_standard_error_of_a_ratio_of_classes_is_the_bootstraps(rng):
     pick = rng.integers(300, size=(2000, 300))
     each = [np.sqrt(s[pick].sum(1) / n[pick].sum(1)) for s, n in sums]
     assert found.se == pytest.approx((each[0] / each[1]).std(), rel=0.15)
-    assert found.value == pytest.approx(
-        np.sqrt(square[diverged].mean() / square[converged].mean())
-    )
+    assert found.value == pytest.approx(np.sqrt(square[diverged].mean() / square[converged].mean()))
 
 
 def test_jackknife_of_the_median_covers(rng):
@@ -113,7 +111,9 @@ def test_classes_count_everything_once(rng):
     assert next(r for r in rows if r["class"] == "oscillation")["iterations"] == 1000
     outcome = np.full(f.outcome.shape, Outcome.OK, dtype=np.int8)
     outcome[:, :3] = Outcome.DIVERGED  # three positions tell no standard error
-    few = {r["class"]: r for r in N.outcomes.classes("ml_kcorr", 1.0, [replace(f, outcome=outcome)])}
+    few = {
+        r["class"]: r for r in N.outcomes.classes("ml_kcorr", 1.0, [replace(f, outcome=outcome)])
+    }
     assert few["divergence"]["rmse_m"] > 0
     assert np.isnan(few["divergence"]["rmse_se"])
     assert "rmse_m" not in few["oscillation"]
