@@ -65,14 +65,15 @@ def judge(
 
     Each number has an interval at the level LEVEL of all together (Bonferroni). `for all` holds if
     each number does and fails if one does; `exists` holds if one does and fails if each does;
-    `typical` needs more than half for either. Numbers whose interval lies within +- `tie` count
-    neither way; if all are, the reading is undecided.
+    `typical` needs more than half for either. Numbers that do not hold, but whose interval lies
+    within +- `tie`, count neither way; if all are such, the reading is undecided.
     """
     confidence = 1 - (1 - LEVEL) / len(numbers)
     intervals = [_interval(e, confidence) for e in numbers]
-    tied = [max(-low, high) <= tie if tie else False for low, high in intervals]
+    alone = [word(limits, i) for i in intervals]
+    tied = [w != HOLDS and tie > 0 and max(-i[0], i[1]) <= tie for w, i in zip(alone, intervals)]
     counted = [i for i, t in enumerate(tied) if not t] or list(range(len(numbers)))
-    words = ["" if all(tied) else word(limits, intervals[i]) for i in counted]
+    words = ["" if all(tied) else alone[i] for i in counted]
     found = _quantified(words, quantifier)
     order = sorted(counted, key=lambda i: _margin(limits, intervals[i], numbers[i].value))
     place = {"for all": 0, "exists": -1, "typical": (len(order) - 1) // 2}[quantifier]
