@@ -142,6 +142,7 @@ def test_the_rule_for_beta_estimates_of_b(rule, beta):
     frame = rule[(rule["kind"] == "mean") & (rule["beta"] == beta)]
     closed = np.sqrt(1 + beta * frame["gamma"] ** 2) / (1 + beta)
     assert np.all(np.abs(frame["ratio"] - closed) < 5 * frame["ratio_se"])
+    assert np.allclose(frame["closed"], closed)
     values = figures.rule_values(rule)
     threshold = values[f"rule/mean/{beta:g}/threshold"]
     assert threshold.value == pytest.approx(np.sqrt(beta + 2), abs=4 * threshold.se)
