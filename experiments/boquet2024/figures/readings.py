@@ -37,10 +37,10 @@ def readings(frame: pd.DataFrame) -> Figure:
         style = {"color": colour, "fmt": "o", "ms": 4, "label": rf"$R_\sigma$ = {r:g}"}
         intervals(axis, rows, "over_best", y, scale=100, **style)
     axis.axvline(0, color="black", lw=1, ls=":")
-    axis.set_yticks(range(len(names)), [name.replace("deg", "°") for name in names])
+    axis.set_yticks(range(len(names)), [name.replace(" deg", "°") for name in names])
     axis.invert_yaxis()
     axis.set(xlabel="P(error ≤ 1 m) of DF minus that of A best [percent points]")
-    axis.legend()
+    figure.legend(loc="outside upper center", ncols=2)
     return figure
 
 
