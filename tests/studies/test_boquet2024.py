@@ -15,6 +15,7 @@ from aoabench import bounds
 from aoabench.config.compose import compose_cells
 from aoabench.engine.tiles import Draws
 from aoabench.estimators.discrepancy import Discrepancy
+from aoabench.maths import statistics
 from aoabench.maths.geometry import to_azel
 from aoabench.store.fixes import Fixes
 from aoabench.studies import study
@@ -24,6 +25,7 @@ from tests.helpers import Place
 STUDY = study.load("boquet2024")
 numbers, figures = STUDY.numbers, STUDY.figures
 common = numbers.common
+measures = inspect.getmodule(numbers.fig6).measures
 NAN = np.nan
 
 
@@ -386,8 +388,13 @@ def made_up(cells):
     return campaign(np.random.default_rng(3), cells[EXPERIMENT][0].estimators)
 
 
-def test_steps_of_the_filter_are_differences_of_its_columns(made_up):
-    frame = numbers.fig6([(None, made_up)])
+@pytest.fixture(scope="module")
+def fig6(made_up):
+    return numbers.fig6([(None, made_up)])
+
+
+def test_steps_of_the_filter_are_differences_of_its_columns(made_up, fig6):
+    frame = fig6
     by = frame.set_index("r_sigma")
     for key, less in (("rmse_m", 1), ("cep90_m", 1), ("within_1m", 1), ("lost", -1)):
         step = by[key].diff().iloc[1:]
@@ -403,6 +410,46 @@ def test_steps_of_the_filter_are_differences_of_its_columns(made_up):
     assert (paired.iloc[8:] < independent.iloc[8:]).all()
     e = common.error(made_up["df_boxes_10"])
     assert by.loc[1.0, "tail"] == pytest.approx(np.nanquantile(e, 0.99) / np.nanmedian(e))
+
+
+def disturbed(seed, campaigns=40, above=np.inf):
+    """Made-up errors (R, 500) m of campaigns with scales of their own; those above a limit are
+    beyond 3 m.
+    """
+    rng = np.random.default_rng(seed)
+    e = rng.rayleigh(1.0, (campaigns, 500)) * rng.uniform(0.8, 1.2, (campaigns, 1))
+    return np.where(e > above, np.maximum(e, 3.0), e)
+
+
+def cep90(e):
+    return float(np.quantile(e, 0.9))
+
+
+def test_quantiles_have_the_error_of_the_jackknife_where_that_is_right():
+    e = disturbed(7)
+    found = {name: number.estimate for name, number in measures(e).items()}
+    for name, f in (("cep50_m", np.median), ("cep90_m", cep90)):
+        jackknife = statistics.jackknife(e, f)
+        assert found[name].value == pytest.approx(jackknife.value)
+        assert found[name].se == pytest.approx(jackknife.se, rel=0.25)
+    of_rmse = statistics.pooled_rmse(np.sqrt((e**2).mean(axis=1)))
+    assert found["rmse_m"].value == pytest.approx(of_rmse.value)
+    assert found["rmse_m"].se == pytest.approx(of_rmse.se, rel=0.15)
+
+
+def test_quantiles_next_to_a_gap_have_an_error_of_the_right_size():
+    """Nine in ten errors lie below 2.17 m and the others above 3 m: CEP90 jumps from draw to draw,
+    and the jackknife is of no use.
+    """
+    gap = cep90(disturbed(1, 2000))
+    truth = np.std([cep90(disturbed(seed, above=gap)) for seed in range(100)])
+    draws = [disturbed(1000 + i, above=gap) for i in range(5)]
+    bootstrap = [measures(e)["cep90_m"].estimate.se for e in draws]
+    jackknife = [statistics.jackknife(e, cep90).se for e in draws]
+    assert 0.5 * truth < np.median(bootstrap) < 1.5 * truth
+    assert min(bootstrap) > 0.2 * truth
+    assert min(jackknife) < 0.1 * truth
+    assert max(jackknife) > 3 * truth
 
 
 def test_areas_are_the_points_of_the_room_and_their_medians(cells, made_up):
@@ -542,11 +589,13 @@ def test_sets_that_differ_are_those_that_the_votes_choose(cells):
 
 
 @pytest.fixture(scope="module")
-def tables(cells, made_up, fig2, rule):
+def tables(cells, made_up, fig2, fig6, rule):
     """A table of each item, of made-up fixes where it is of the campaign."""
     rng = np.random.default_rng(6)
-    found = {"fig2": fig2, "rule": rule}
+    found = {"fig2": fig2, "fig6": fig6, "rule": rule}
     for item in STUDY.items:
+        if item.name in found:
+            continue
         if item.reads == "fixes" and item.experiment == READINGS.partition("=")[2]:
             runs = [(cell, campaign(rng, cell.estimators)) for cell in cells[READINGS]]
             found[item.name] = getattr(numbers, item.name)(runs)
@@ -564,7 +613,7 @@ def tables(cells, made_up, fig2, rule):
             found["fig3b"] = pd.DataFrame(
                 {"x_m": [1, 2, 1, 2], "y_m": [1, 1, 2, 2], "single_m": 1.0, "single_se": 0.0, "pair_m": [0.5, 2, 1, 2], "pair_se": 0.0}
             )  # fmt: skip
-        elif item.name not in found:
+        else:
             found[item.name] = getattr(numbers, item.name)("quick")
     return found
 

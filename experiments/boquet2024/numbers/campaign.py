@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -26,11 +25,10 @@ from .common import (
     only,
     printed_grids,
     rejected,
-    rms,
-    tail,
     unused,
     within,
 )
+from .resampled import Resampled, measures
 
 UNNAMED = ("ls_anchor_discarding", "rssi_anchor")  # the printed panel without a name is of one
 
@@ -64,17 +62,6 @@ FIRST = 0.2  # R_sigma from which the rise of RMSE and CEP90 is counted
 EARLY = (0.6, 0.8)  # R_sigmas between which the fall of R_d is compared with other falls
 
 
-def cep(share: float) -> Callable[[np.ndarray], float]:
-    """The function that gives this quantile of the given errors."""
-    return lambda e: float(np.nanquantile(e, share))
-
-
-MEASURES: dict[str, Callable[[np.ndarray], float]] = {
-    "rmse_m": rms,
-    "cep50_m": cep(0.5),
-    "cep90_m": cep(0.9),
-    "tail": tail,
-}
 RISING = ("rmse_m", "cep90_m")  # of which the paper says that they rise with R_sigma
 
 
@@ -92,17 +79,18 @@ def fig6(runs: Runs) -> pd.DataFrame:
         "lost": {r: rejected(f) for r, f in found.items()},
         "discarded": {r: unused(f, fixes["df_without_vote"]) for r, f in found.items()},
     }
+    of = {r: measures(e) for r, e in errors.items()}
     rows: list[dict[str, Any]] = []
     before = None
     for r, e in errors.items():
         row = {"r_sigma": r, "fixes": int(np.isfinite(e).sum()), "campaigns": len(e)}
         row |= columns(within_1m=within(e), lost=lost(found[r]))
         row |= columns(discarded=discarded(found[r], fixes["df_without_vote"]))
-        row |= columns(**{name: statistics.jackknife(e, f) for name, f in MEASURES.items()})
+        row |= columns(**{name: number.estimate for name, number in of[r].items()})
         if r > FIRST:
-            row |= columns(**{f"{name}_rise": _rise(errors[FIRST], e, name) for name in RISING})
+            row |= columns(**_rise("rise", of[FIRST], of[r]))
         if before is not None:
-            row |= columns(**{f"{name}_more": _rise(errors[before], e, name) for name in RISING})
+            row |= columns(**_rise("more", of[before], of[r]))
             row |= columns(within_1m_more=difference(e, errors[before]))
             row |= columns(**{f"{name}_less": _fall(c, before, r) for name, c in counts.items()})
         if round(r - 0.2, 1) in errors:
@@ -112,10 +100,9 @@ def fig6(runs: Runs) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _rise(a: np.ndarray, b: np.ndarray, name: str) -> Estimate:
-    """A measure of the errors b minus that of the errors a (R, T), paired over campaigns."""
-    f = MEASURES[name]
-    return statistics.jackknife(np.stack([a, b], axis=1), lambda e: f(e[:, 1]) - f(e[:, 0]))
+def _rise(suffix: str, a: dict[str, Resampled], b: dict[str, Resampled]) -> dict[str, Estimate]:
+    """The measures RISING of b minus those of a, paired over campaigns."""
+    return {f"{name}_{suffix}": (b[name] - a[name]).estimate for name in RISING}
 
 
 Counts = dict[float, tuple[np.ndarray, np.ndarray]]  # by R_sigma: those discarded, and all
