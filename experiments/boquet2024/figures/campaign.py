@@ -84,6 +84,7 @@ def fig6_values(frame: pd.DataFrame) -> dict[str, Estimate]:
                 found[f"fig6/{r['r_sigma']:g}/{name}"] = value
         for name in ("lost", "discarded"):
             found[f"fig6/{r['r_sigma']:g}/{name}_percent"] = estimate(r, name).percent()
+        found[f"fig6/{r['r_sigma']:g}/given_percent"] = (-1 * estimate(r, "lost") + 1).percent()
     by = {round(r["r_sigma"], 1): r for r in frame.to_dict("records")}
     for name in ("rmse_m", "cep90_m"):
         found[f"fig6/{name}/rise"] = estimate(by[2.0], f"{name}_rise")
