@@ -121,8 +121,8 @@ def _growth(
     start: Mapping[str, Any],
     centroid_start: Mapping[str, Any],
 ) -> Values:
-    """Growth of a method's errors per metre of uncertainty since THRESHOLD_M, and how much a filter's
-    exceeds the centroid's; standard errors as if all were independent.
+    """Growth of a method's errors per metre of uncertainty since THRESHOLD_M, and its excess over
+    the centroid's; standard errors as if all were independent.
     """
     per_m = 1 / (row["an_sigma_m"] - THRESHOLD_M)
     found = {}
