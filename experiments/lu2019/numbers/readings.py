@@ -23,7 +23,7 @@ def readings(scale: str) -> pd.DataFrame:
     height, their median excess over the centroid in the same trial in percent, and the rate of
     divergence.
     """
-    trials = {"quick": 8, "paper": 100}[scale]
+    trials = {"quick": 8, "paper": 64}[scale]
     rows = []
     for setting, kind, sigma in product(SETTINGS, ("independent", "common"), (0.5, 5.0)):
         words = (f"noise.an_error={kind}", f"noise.an_sigma_m={sigma}")
