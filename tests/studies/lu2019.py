@@ -66,7 +66,7 @@ def pilots():
     curves = [("cdf", "chosen", n, x, 0.5, np.nan, 8) for n in N.setting.GRIDS for x in (-1.0, 1.0)]
     numbers = [
         (kind, setting, name, np.nan, 90.0, 1.0, 8)
-        for setting in N.common.SETTINGS
+        for setting in N.setting.READINGS
         for name, (kind, _) in N.setting.NUMBERS.items()
     ]
     exact = [("exact", "chosen", "clock_m", np.nan, 3.0, 0.0, 0)]
