@@ -1,6 +1,7 @@
 """The numbers that the study's claims are judged by, and verdicts where the truth is known."""
 
 import math
+import sys
 
 import numpy as np
 import pandas as pd
@@ -146,16 +147,28 @@ def test_operations_grow_as_their_highest_power():
     assert found["operations/wcg/ours/per_node"].value == 20
 
 
-def test_the_excess_is_paired_within_the_trials(rng, monkeypatch):
+def test_excess_and_share_are_paired_within_the_trials(rng, monkeypatch):
     frame = readings_of(rng, monkeypatch)
     found = LU.figures.readings_values(frame)
-    excess, trials = found["readings/all_in_sight/common/5/ekf_aoa/excess_z"]
+    key = "readings/all_in_sight/common/5/ekf_aoa"
+    excess, trials = found[f"{key}/excess_z"]
     assert excess.value == pytest.approx(30.0)
     assert excess.se == pytest.approx(0.0, abs=1e-9)
     assert trials == 8
-    assert "readings/all_in_sight/common/5/wcg/excess_z" not in found
+    assert found[f"{key}/worse_z"][0].value == 100
+    assert f"{key.replace('ekf_aoa', 'wcg')}/worse_z" not in found
     assert found["readings/chosen/common/5/wcg/median_3d"][0].se > 0
     assert len(LU.figures.readings_table(frame)) == 2 * len(N.common.SETTINGS)
+
+
+def test_numbers_of_the_readings_by_hand():
+    module = sys.modules[f"{N.__name__}.readings"]
+    centroid = np.arange(1.0, 41.0)
+    factor = np.array([0.5] * 10 + [2.0] * 20 + [1000.0] * 10)  # a quarter diverges
+    found = module._numbers(factor * centroid, centroid, "3d")
+    assert found["worse_3d"] == 0.75
+    assert found["excess_3d"] == found["excess_3d_low"] == found["excess_3d_high"] == 100
+    assert found["median_3d"] == pytest.approx(np.median(factor * centroid))
 
 
 def test_the_map_counts_what_the_paper_says(fig2):

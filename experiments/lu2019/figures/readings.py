@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 
 from aoabench.maths.statistics import Estimate
@@ -23,23 +24,26 @@ SETTINGS = {
     "noise_figure_5_db": "noise figure 5 dB",
     "noise_figure_13_db": "noise figure 13 dB",
 }
-NUMBERS = ("median_3d", "median_z", "excess_3d", "excess_z")
+MEASURES = ("median", "worse", "excess")
 HIGHEST_M = 5.0  # the highest uncertainty
 
 
 def readings_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
-    """Per setting, kind of error, uncertainty and method: median errors in space and height, a
-    filter's median excess over the centroid in percent, and the rate of divergence; each with its
-    trials.
+    """Per setting, kind of error, uncertainty and method: median errors in m in space and height,
+    the rate of divergence and, of a filter, the share of trials in which it errs more than the
+    centroid and its median excess over it, all in percent; each with its trials.
     """
     found = {}
     for r in frame.to_dict("records"):
         key = f"readings/{r['setting']}/{r['an_error']}/{r['an_sigma_m']:g}/{r['estimator']}"
-        for name in NUMBERS:
-            if r["estimator"] != "wcg" or not name.startswith("excess"):
-                found[f"{key}/{name}"] = (Estimate(r[name], r[f"{name}_se"]), float(r["trials"]))
-        share = Estimate(r["diverged"], r["diverged_se"]).percent()
-        found[f"{key}/diverged"] = (share, float(r["trials"]))
+        numbers = {"diverged": Estimate(r["diverged"], r["diverged_se"]).percent()}
+        for part in ("3d", "z"):
+            of = {n: Estimate(r[n], r[f"{n}_se"]) for n in (f"{m}_{part}" for m in MEASURES)}
+            numbers[f"median_{part}"] = of[f"median_{part}"]
+            if r["estimator"] != "wcg":
+                numbers[f"worse_{part}"] = of[f"worse_{part}"].percent()
+                numbers[f"excess_{part}"] = of[f"excess_{part}"]
+        found |= {f"{key}/{name}": (e, float(r["trials"])) for name, e in numbers.items()}
     return found
 
 
@@ -51,17 +55,18 @@ def readings(frame: pd.DataFrame) -> Figure:
     rows = part.set_index(["setting", "an_error", "estimator"])
     for axis, (number, title) in zip(axes, (("3d", "in space"), ("z", "in height"))):
         for k, name in enumerate(n for n in NAMES if n != "wcg"):
-            value, se = (
-                pd.Series([rows.loc[(*line, name), f"excess_{number}{end}"] for line in lines])
-                for end in ("", "_se")
+            chosen = rows.loc[[(*line, name) for line in lines]]
+            ratio, low, high = (
+                1 + chosen[f"excess_{number}{end}"].to_numpy() / 100
+                for end in ("", "_low", "_high")
             )
+            bars = [np.where(np.isfinite(x), abs(x - ratio), np.nan) for x in (low, high)]
             look = {**STYLES[name], "ls": "", "ms": 4, "capsize": 2, "elinewidth": 0.8}
             y = [-i - 0.2 * k + 0.1 for i in range(len(lines))]
-            ratio, bars = 1 + value / 100, 3 * se / 100
-            low = bars.clip(upper=0.9 * ratio)
-            axis.errorbar(ratio, y, xerr=[low, bars], label=NAMES[name], **look)
+            axis.errorbar(ratio, y, xerr=bars, label=NAMES[name], **look)
         axis.axvline(1, color="black", lw=0.8, ls=":")
         axis.set(xscale="log", title=title, xlabel="error over that of WCG, ratio")
+        axis.set_xticks([1, 10, 100], ["1", "10", "100"])
     texts = [f"{SETTINGS[setting]}, {kind}" for setting, kind in lines]
     axes[0].set_yticks([-i for i in range(len(lines))], texts)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)

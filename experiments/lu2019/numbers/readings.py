@@ -10,18 +10,20 @@ import pandas as pd
 from aoabench.cell import Cell
 from aoabench.engine import metrics
 from aoabench.engine.tiles import Draws, estimate_tile
-from aoabench.maths import statistics
+from aoabench.maths import intervals, statistics
 
 from .common import METHODS, SETTINGS, cell_of
 from .trials import DIVERGED_M
 
 TILE = 8
+LEVEL = 0.997  # of intervals
 
 
 def readings(scale: str) -> pd.DataFrame:
     """Per setting, kind of error, uncertainty and method: median RMSE of the trials in space and
-    height, their median excess over the centroid in the same trial in percent, and the rate of
-    divergence.
+    height; the share of trials in which it is above the centroid's; its median excess over the
+    centroid's in the same trial in percent, with the distribution-free interval (LEVEL); and the
+    rate of divergence.
     """
     trials = {"quick": 8, "paper": 64}[scale]
     rows = []
@@ -33,12 +35,21 @@ def readings(scale: str) -> pd.DataFrame:
             diverged = int((found[name]["3d"] > DIVERGED_M).sum())
             row |= {"trials": trials} | statistics.rate(diverged, trials).columns("diverged")
             for part in ("3d", "z"):
-                rmse, centroid = found[name][part], found["wcg"][part]
-                excess = 100 * (rmse / centroid - 1)
-                row |= statistics.quantile(rmse, 0.5).columns(f"median_{part}")
-                row |= statistics.quantile(excess, 0.5).columns(f"excess_{part}")
+                row |= _numbers(found[name][part], found["wcg"][part], part)
             rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _numbers(rmse: np.ndarray, centroid: np.ndarray, part: str) -> dict[str, float]:
+    """Columns of a method's RMSEs (trials,) beside those of the centroid in the same trials."""
+    excess = 100 * (rmse / centroid - 1)
+    low, high = intervals.quantile_interval(excess, 0.5, LEVEL)
+    return (
+        statistics.quantile(rmse, 0.5).columns(f"median_{part}")
+        | statistics.rate(int((rmse > centroid).sum()), len(rmse)).columns(f"worse_{part}")
+        | statistics.quantile(excess, 0.5).columns(f"excess_{part}")
+        | {f"excess_{part}_low": low, f"excess_{part}_high": high}
+    )
 
 
 def trial_rmses(cell: Cell, trials: int) -> dict[str, dict[str, np.ndarray]]:
