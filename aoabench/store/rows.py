@@ -14,7 +14,7 @@ import numpy as np
 from aoabench.columns import FAILURES, IDENTITY, KINDS
 from aoabench.errors import RunError
 from aoabench.store import folder
-from aoabench.store.files import WRITING, provenance, schema, write_atomically
+from aoabench.store.files import WRITING, provenance, save, schema, write_atomically
 from aoabench.store.fixes import clusters_of
 from aoabench.store.folder import noted_parts, replay_command
 from aoabench.store.parts import Part, intact_parts
@@ -80,13 +80,9 @@ class CellRows:
         """Write replications.parquet/<cell>.parquet, and steps.parquet/<cell>.parquet if the record
         has steps.
         """
-        import pyarrow.parquet as pq
-
-        cell, path = self.row["cell"], self.out / "replications.parquet"
-        write_atomically(
-            path / f"{cell}.parquet", lambda t: pq.write_table(self.replications, t, **WRITING)
-        )
-        steps = self.out / "steps.parquet" / f"{cell}.parquet"
+        name = f"{self.row['cell']}.parquet"
+        save(self.out / "replications.parquet" / name, self.replications)
+        steps = self.out / "steps.parquet" / name
         if any(entry["steps"] for entry in self.entries.values()):
             write_atomically(steps, self._write_steps)
         else:

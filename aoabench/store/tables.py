@@ -26,8 +26,8 @@ from aoabench.errors import RunError, UserError
 from aoabench.store import earlier, manifest, tidy
 from aoabench.store import index as index_module
 from aoabench.store.files import (
-    WRITING,
     provenance,
+    save,
     schema,
     version_in,
     write_atomically,
@@ -224,11 +224,8 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> pa.
 
 def _write(out: Path, name: str, table: pa.Table) -> Path:
     """Write a table of the next generation; return its file."""
-    import pyarrow.parquet as pq
-
     file, meta = manifest.new_file(out, name), schema({}, provenance()).metadata
-    table = table.replace_schema_metadata(meta)
-    write_atomically(file, lambda temporary: pq.write_table(table, temporary, **WRITING))
+    save(file, table.replace_schema_metadata(meta))
     return file
 
 
