@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
+COLUMNS = (*IDENTITY[:4], "estimators", "plugins", "config")  # of the index, those needed here
+
 
 class CellRows:
-    """The rows of one cell (a row of the index, decoded).
+    """The rows of one cell (the COLUMNS of its row of the index).
 
     replications: an Arrow table of all estimators (columns.REPLICATIONS), in order; summary: a row
     for each of them, without the cell's parameters; failures: rows of the failures table.
@@ -40,7 +42,9 @@ class CellRows:
         self.entries = json.loads(row["estimators"])
         self.parts = {n: intact_parts(out, entry["key"]) for n, entry in self.entries.items()}
         origin = {**provenance(), "config": json.loads(row["config"])}
-        self._schemas = {kind: schema(KINDS[kind], origin) for kind in ("rows", "steps")}
+        self._stepped = any(entry["steps"] for entry in self.entries.values())
+        kinds = ("rows", "steps") if self._stepped else ("rows",)
+        self._schemas = {kind: schema(KINDS[kind], origin) for kind in kinds}
         self.summary: list[dict[str, Any]] = []
         self.failures: list[dict[str, Any]] = []
         tables = []
@@ -58,14 +62,15 @@ class CellRows:
         """A part's table with the columns of the cell and the estimator."""
         import pyarrow as pa
 
+        full = self._schemas[kind]
         same = {**{k: self.row[k] for k in IDENTITY[:4]}, "estimator": name}
-        full = [
+        columns = [
             pa.repeat(pa.scalar(same[f.name], f.type), len(part))
             if f.name in same
             else part[f.name]
-            for f in self._schemas[kind]
+            for f in full
         ]
-        return pa.table(full, schema=self._schemas[kind])
+        return pa.table(columns, schema=full)
 
     def _check_numbers(self, name: str, numbers: np.ndarray) -> None:
         """Raise RunError unless the replications are 0 ... reps-1."""
@@ -83,7 +88,7 @@ class CellRows:
         name = f"{self.row['cell']}.parquet"
         save(self.out / "replications.parquet" / name, self.replications)
         steps = self.out / "steps.parquet" / name
-        if any(entry["steps"] for entry in self.entries.values()):
+        if self._stepped:
             write_atomically(steps, self._write_steps)
         else:
             steps.unlink(missing_ok=True)
