@@ -33,6 +33,15 @@ WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
 
 def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = None) -> pa.Schema:
     """The fixed Arrow schema of a table, with its version and provenance as metadata."""
+    meta = {_SCHEMA: str(SCHEMA).encode()}
+    if provenance:
+        meta[b"aoabench"] = json.dumps(provenance, default=str).encode()
+    return _types(tuple(columns.items())).with_metadata(meta)
+
+
+@functools.lru_cache(64)
+def _types(columns: tuple[tuple[str, str], ...]) -> pa.Schema:
+    """The Arrow schema of names and kinds."""
     import pyarrow as pa
 
     types = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "bool": pa.bool_()}
@@ -41,10 +50,7 @@ def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = No
         "bytes": pa.list_(pa.int8()),
         "ints": pa.list_(pa.int32()),
     }
-    meta = {_SCHEMA: str(SCHEMA).encode()}
-    if provenance:
-        meta[b"aoabench"] = json.dumps(provenance, default=str).encode()
-    return pa.schema([(name, types[kind]) for name, kind in columns.items()], metadata=meta)
+    return pa.schema([(name, types[kind]) for name, kind in columns])
 
 
 def provenance(config: Any = None) -> dict[str, Any]:
