@@ -1,11 +1,14 @@
 """Files of tables: what they hold, and which of them are compressed."""
 
+import json
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from aoabench.errors import RunError
+from aoabench.store.documents import read_document, write_document
 from aoabench.store.files import file_checksum, read_table, save
 
 
@@ -37,3 +40,14 @@ def test_pages_have_checksums(tmp_path, rows):
     file.write_bytes(data)
     with pytest.raises(RunError, match="torn or altered"):
         read_table(file)
+
+
+def test_a_document_is_text_of_one_line_for_each_name(tmp_path):
+    content = {"text": 'a "b"\n', "numbers": {"one": [1, 2.5, None]}, "path": tmp_path}
+    write_document(tmp_path / "a.json", content)
+    text = (tmp_path / "a.json").read_text()
+    names = [line.split('"')[1] for line in text.splitlines()[1:-1]]
+    assert names == ["format", *content, "checksum"]
+    assert json.loads(text)["numbers"] == {"one": [1, 2.5, None]}
+    known = {"format": 2, **content, "path": str(tmp_path)}
+    assert read_document(tmp_path / "a.json") == known
