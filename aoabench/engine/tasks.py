@@ -9,6 +9,7 @@ from pathlib import Path
 
 from aoabench.cell import Cell
 from aoabench.engine.block import run_block
+from aoabench.engine.memory import keep_freed_memory
 from aoabench.store.files import provenance
 from aoabench.store.keys import Origin
 from aoabench.store.lock import check_held
@@ -72,6 +73,7 @@ def compute(task: Task, out: Path) -> dict[str, Loss]:
     before anything is written.
     """
     cell = task.cell
+    keep_freed_memory()
     if _checked.get() != task.origin:
         task.origin.check()
     check_held(out)
