@@ -18,11 +18,16 @@ def shipped(folder: str) -> Path:
     return inside if inside.is_dir() else package.parent / folder
 
 
+def committing() -> bool:
+    """Whether COMMIT=1 stands in the environment: committed files may be replaced."""
+    return os.environ.get("COMMIT") == "1"
+
+
 def output_folder() -> Path:
-    """`results`, whose files are committed, with COMMIT=1 in the environment; else results/draft,
-    which git ignores.
+    """`results`, whose files are committed, if `committing`; else results/draft, which git
+    ignores.
     """
-    return Path("results") if os.environ.get("COMMIT") == "1" else Path("results/draft")
+    return Path("results") if committing() else Path("results/draft")
 
 
 @functools.cache

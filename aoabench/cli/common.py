@@ -169,6 +169,11 @@ def scale_option(default: str, explained: str) -> Callable[[Decorated], Decorate
     )
 
 
+all_option = click.option(
+    "--all", "every", is_flag=True, help="Print each claim instead of one screen."
+)
+
+
 def formats(format_: str | None) -> list[str]:
     """The formats of the figures."""
     return ["png", format_] if format_ else ["png"]

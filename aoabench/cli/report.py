@@ -9,6 +9,7 @@ import click
 
 from aoabench.cli.common import (
     Command,
+    all_option,
     formats,
     json_option,
     print_json,
@@ -21,9 +22,12 @@ from aoabench.cli.show import studies_json
 
 @click.command(cls=Command)
 @scale_option("paper", "Which tables: paper, the committed ones in results; quick, results/quick.")
+@all_option
 @results_options
 @json_option
-def report(scale: str, results: Path | None, format_: str | None, as_json: bool) -> None:
+def report(
+    scale: str, every: bool, results: Path | None, format_: str | None, as_json: bool
+) -> None:
     """Draw figures and page again from stored tables.
 
     Nothing is simulated. Figures and page of the committed tables go to results/draft, which git
@@ -44,6 +48,6 @@ def report(scale: str, results: Path | None, format_: str | None, as_json: bool)
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
     where = places.of_report(scale, results)
-    drawn = reproducing.draw(reproducing.all_studies(), where, say, formats(format_))
+    drawn = reproducing.draw(reproducing.all_studies(), where, say, formats(format_), every)
     if as_json:
         print_json(studies_json(drawn, where.results))

@@ -11,6 +11,7 @@ from click.shell_completion import CompletionItem
 
 from aoabench.cli.common import (
     Command,
+    all_option,
     formats,
     json_option,
     print_json,
@@ -44,7 +45,9 @@ def _items(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
 
 @click.command(cls=Command)
 @click.argument("study", nargs=-1, shell_complete=_studies, help="Names of studies; default: all.")
-@scale_option("quick", "quick: minutes, coarse; paper: hours, the paper's numbers of replications.")
+@scale_option(
+    "quick", "quick: minutes, coarse; paper: an hour or two, the papers' numbers of replications."
+)
 @click.option(
     "--only",
     metavar="ITEM,...",
@@ -63,6 +66,7 @@ def _items(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
     help="The minutes that --decide may take; default: 10.",
 )
 @click.option("--fresh", is_flag=True, help="Compute everything again; reuse nothing stored.")
+@all_option
 @results_options
 @json_option
 def reproduce(
@@ -72,6 +76,7 @@ def reproduce(
     decide: bool,
     budget: float | None,
     fresh: bool,
+    every: bool,
     results: Path | None,
     format_: str | None,
     as_json: bool,
@@ -109,11 +114,12 @@ def reproduce(
     elif budget is not None:
         raise UserError(f"--budget={budget:g}: only with --decide")
     where = places.of_scale(scale, results)
+    minutes = 10.0 if budget is None else budget
     if decide:
-        minutes = 10.0 if budget is None else budget
-        done = reproducing.decide(study, only, where, say, formats(format_), 60 * minutes)
+        options = (formats(format_), 60 * minutes, every)
+        done = reproducing.decide(study, only, where, say, *options)
     else:
-        done = reproducing.reproduce(study, scale, only, where, say, formats(format_), fresh)
+        done = reproducing.reproduce(study, scale, only, where, say, formats(format_), fresh, every)
     if as_json:
         items = {"scale": scale, "items": done.computed}
         print_json({**items, **studies_json(done.drawn, where.results)})

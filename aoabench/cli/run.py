@@ -75,7 +75,7 @@ class _Run(Command):
 @json_option
 @click.option("-h", "--help", "wants_help", is_flag=True, help="Show this message and exit.")
 @click.pass_context
-def run(  # noqa: PLR0913 - an option each
+def run(
     ctx: click.Context,
     words: tuple[str, ...],
     multirun: bool,

@@ -50,7 +50,8 @@ class Fixes:
     def first(self, count: int) -> Fixes:
         """The fixes of the first `count` replications."""
         arrays = {f.name: getattr(self, f.name) for f in fields(Fixes)}
-        return Fixes(**{n: None if a is None else a[:count] for n, a in arrays.items()})
+        cut = {n: None if a is None else a[:count] for n, a in arrays.items()}
+        return Fixes(**cut)  # type: ignore[arg-type]
 
 
 _FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", "outcome", "place")

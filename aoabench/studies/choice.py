@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from aoabench.errors import UserError, did_you_mean, shorten
 from aoabench.studies import study
@@ -20,7 +20,7 @@ def chosen(names: Sequence[str], only: str | None, known: Sequence[str]) -> list
     for name in names:
         if name not in known:
             raise UserError(f"study {shorten(repr(name))}: unknown{_hint(name, known)}")
-    pairs = [(s, item) for s in map(study.load, names or known) for item in s.items]
+    pairs = [(s, item) for s in map(study.load, dict.fromkeys(names or known)) for item in s.items]
     if only is None:
         return pairs
     words = [word.strip() for word in only.split(",")]
@@ -43,13 +43,13 @@ def _hint(word: str, known: Sequence[str]) -> str:
     return did_you_mean(word, known) or "; allowed: " + ", ".join(known)
 
 
-def cheapest_first(pairs: Sequence[Pair], scale: str) -> list[Pair]:
-    """The items ordered by their expected seconds; items that share an experiment stay together,
-    since the first of them computes for all.
+def cheapest_first(pairs: Sequence[Pair], seconds: Mapping[str, float]) -> list[Pair]:
+    """The items ordered by their expected `seconds` (see progress.expected); items that share an
+    experiment stay together, since the first of them computes for all.
     """
     cost: dict[tuple[str, str], float] = {}
     for s, item in pairs:
-        cost[_group(s, item)] = cost.get(_group(s, item), 0.0) + item.expected_s(scale)
+        cost[_group(s, item)] = cost.get(_group(s, item), 0.0) + seconds[f"{s.name}/{item.name}"]
     return sorted(pairs, key=lambda pair: (cost[_group(*pair)], _group(*pair)))
 
 

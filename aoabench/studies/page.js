@@ -1,13 +1,15 @@
 "use strict";
 // The front table: the rows that pass the three filters are shown; a click on a head sorts by its column.
 const front = document.getElementById("front"), body = front.tBodies[0], rows = Array.from(body.rows);
-const [study, verdict, words] = ["by-study", "by-verdict", "by-text"].map((id) => document.getElementById(id));
+const [study, verdict, kind, words] = ["by-study", "by-verdict", "by-class", "by-text"].map((id) => document.getElementById(id));
 const texts = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
 
 function filter() {
   const wanted = words.value.toLowerCase().split(/\s+/);
   for (const row of rows) {
-    row.hidden = !((!study.value || row.dataset.study === study.value) && (!verdict.value || row.dataset.verdict === verdict.value)
+    const {study: name, verdict: word, class: group, counts} = row.dataset;
+    const fits = kind.value === "counts" ? counts === "yes" : !kind.value || group === kind.value;
+    row.hidden = !((!study.value || name === study.value) && (!verdict.value || word === verdict.value) && fits
       && wanted.every((word) => texts.get(row).includes(word)));
   }
   const shown = rows.filter((row) => !row.hidden).length;
@@ -34,8 +36,19 @@ front.querySelectorAll("th button").forEach((button, column) => button.addEventL
   body.append(...order.map((pair) => pair[1]));
 }));
 
-[study, verdict, words].forEach((control) => control.addEventListener("input", filter));
+[study, verdict, kind, words].forEach((control) => control.addEventListener("input", filter));
 filter();
+
+// A link to a claim shows it, whatever the filters are, and opens its details.
+function follow() {
+  const row = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  if (!row || row.parentElement !== body) return;
+  if (row.hidden) { for (const control of [study, verdict, kind, words]) control.value = ""; filter(); }
+  row.querySelector("details").open = true;
+  row.scrollIntoView();
+}
+addEventListener("hashchange", follow);
+follow();
 
 // Commands can be copied where the browser allows it; a click on one selects it everywhere.
 document.querySelectorAll(".command").forEach((line) => {

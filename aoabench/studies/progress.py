@@ -3,19 +3,50 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
+import yaml
+
+from aoabench.resources import shipped
+from aoabench.store.files import write_atomically
 from aoabench.studies.choice import Pair
 
+_UNKNOWN_S = 10.0  # expected of an item that was never timed
 _ENOUGH_S = 10.0  # expected seconds of finished items that tell the speed of this machine
 
 
-class Pace:
-    """The items of a command in the order in which they are computed, at a scale."""
+def expected(scale: str) -> Mapping[str, float]:
+    """About how many seconds each STUDY/ITEM takes at a scale, for order and progress alone: those
+    that experiments/pace.yaml holds from an earlier run, _UNKNOWN_S for others.
+    """
+    held = yaml.safe_load(_pace_file().read_text(encoding="utf-8"))
+    return defaultdict(lambda: _UNKNOWN_S, held.get(scale) or {})
 
-    def __init__(self, pairs: Sequence[Pair], scale: str) -> None:
-        self.expected = [item.expected_s(scale) for _, item in pairs]
+
+def note(scale: str, computed: Sequence[Mapping[str, Any]]) -> None:
+    """Keep the seconds of computed items (each with study, item, seconds) in pace.yaml."""
+    path = _pace_file()
+    held = yaml.safe_load(path.read_text(encoding="utf-8"))
+    new = {f"{row['study']}/{row['item']}": row["seconds"] for row in computed}
+    held[scale] = dict(sorted({**(held.get(scale) or {}), **new}.items()))
+    head = "# Seconds of each item when it was last computed with COMMIT=1; written by aoabench\n"
+    text = head + yaml.safe_dump(held)
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _pace_file() -> Path:
+    return shipped("experiments") / "pace.yaml"
+
+
+class Pace:
+    """The items of a command in the order in which they are computed."""
+
+    def __init__(self, pairs: Sequence[Pair], seconds: Mapping[str, float]) -> None:
+        self.expected = [seconds[f"{s.name}/{item.name}"] for s, item in pairs]
         self.spent: list[float] = []
 
     def done(self, seconds: float) -> None:

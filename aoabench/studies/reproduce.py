@@ -7,7 +7,6 @@ README.md. Computing ends in Parquet; drawing starts from it.
 
 from __future__ import annotations
 
-import inspect
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,16 +19,18 @@ from aoabench.config.overrides import file_setting
 from aoabench.engine import runner
 from aoabench.engine.faults import writable
 from aoabench.errors import UserError
+from aoabench.resources import committing
 from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
 from aoabench.store.fixes import Fixes, fixes, steps
-from aoabench.studies import page, progress, statements, stored, study
+from aoabench.studies import findings, page, progress, screen, statements, stored, study
 from aoabench.studies.choice import Pair, cheapest_first, chosen
 from aoabench.studies.decide import needs
-from aoabench.studies.places import Places
+from aoabench.studies.places import Places, of_scale
 from aoabench.studies.statements import Verdicts
 
 Echo = Callable[[str], None]
+README = Path("README.md")
 _READERS = {"fixes": fixes, "steps": steps}
 
 
@@ -67,15 +68,19 @@ def reproduce(
     echo: Echo,
     formats: Sequence[str] = ("png",),
     fresh: bool = False,
+    every: bool = False,
 ) -> Reproduced:
     """Compute the items that `choice.chosen` selects at a scale, cheap ones first, draw each as
-    soon as it is computed, and write verdicts and page. With `fresh`, reuse no stored replications.
+    soon as it is computed, and write verdicts and page. With `fresh`, reuse no stored replications;
+    with COMMIT=1 in the environment, keep the items' seconds for the progress of later runs. The
+    verdicts are printed as one screen, or with `every` claim by claim.
 
     Raises UserError for an unknown study or item.
     """
-    pairs = cheapest_first(chosen(names, only, all_studies()), scale)
+    expected = progress.expected(scale)
+    pairs = cheapest_first(chosen(names, only, all_studies()), expected)
     writable(str(places.results), "--results")
-    pace = progress.Pace(pairs, scale)
+    pace = progress.Pace(pairs, expected)
     computed: list[dict[str, Any]] = []
     problems: dict[tuple[str, str], str] = {}
     for s, item in pairs:
@@ -86,7 +91,9 @@ def reproduce(
         rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s ({scale})"
         echo(f"{rows}; {pace.text()}")
         problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
-    return Reproduced(computed, _conclude(pairs, problems, places, echo))
+    if committing():
+        progress.note(scale, computed)
+    return Reproduced(computed, _conclude(pairs, problems, places, echo, every))
 
 
 def decide(
@@ -96,6 +103,7 @@ def decide(
     echo: Echo,
     formats: Sequence[str] = ("png",),
     budget_s: float = 600.0,
+    every: bool = False,
 ) -> Reproduced:
     """Add replications to the stored tables of paper scale until no claim on the chosen items is
     undecided that more replications would decide, or until the next item would not fit into
@@ -125,7 +133,7 @@ def decide(
              f"{progress.duration(need.expected_s)}, beyond --budget")  # fmt: skip
     for claim, reason in wanted.left.items():
         echo(f"{claim}: {reason}")
-    return Reproduced(computed, _conclude(pairs, problems, places, echo))
+    return Reproduced(computed, _conclude(pairs, problems, places, echo, every))
 
 
 def _compute_table(
@@ -163,7 +171,7 @@ def compute(
     if item.experiment is None:
         with progress.shown(title):
             return reduce(scale), {
-                "function": f"experiments/{s.name}/{_file_of(reduce, s.folder)}:{item.name}",
+                "function": study.code_of(s, reduce),
                 "scale": scale,
             }
     out = raw / s.name  # one folder a study, so that its items share cells
@@ -193,15 +201,15 @@ def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, 
     return {name: reader(out, cell.id, name).first(cell.reps) for name in cell.estimators}
 
 
-def _file_of(function: Callable[..., Any], folder: Path) -> str:
-    """The file that defines a function, relative to a folder that holds it."""
-    return Path(inspect.getfile(function)).relative_to(folder).as_posix()
-
-
 def draw(
-    names: Sequence[str], places: Places, echo: Echo, formats: Sequence[str] = ("png",)
+    names: Sequence[str],
+    places: Places,
+    echo: Echo,
+    formats: Sequence[str] = ("png",),
+    every: bool = False,
 ) -> Drawn:
-    """Figures of the named studies, and verdicts and page of all, from the stored tables.
+    """Figures of the named studies, and verdicts and page of all, from the stored tables. The
+    verdicts are printed as one screen, or with `every` claim by claim.
 
     Calls `echo` with a line for each table of another version, and for each study with a line that
     lists the items without a table. Raises UserError if there is no table at all.
@@ -219,7 +227,7 @@ def draw(
         absent = [item.name for item in s.items if not present[id(item)]]
         if absent:
             echo(f"{s.name}: not computed: {', '.join(absent)}; aoabench reproduce {s.name}")
-    return _conclude(pairs, problems, places, echo)
+    return _conclude(pairs, problems, places, echo, every)
 
 
 def _drawn(
@@ -235,9 +243,15 @@ def _drawn(
 
 
 def _conclude(
-    pairs: Sequence[Pair], problems: dict[tuple[str, str], str], places: Places, echo: Echo
+    pairs: Sequence[Pair],
+    problems: dict[tuple[str, str], str],
+    places: Places,
+    echo: Echo,
+    every: bool,
 ) -> Drawn:
-    """Write verdicts and page of all studies, and print the verdicts of the chosen items."""
+    """Write verdicts and page of all studies, with COMMIT=1 what was found into README.md too, and
+    print the verdicts of the chosen items: one screen, or with `every` each claim.
+    """
     everything = [study.load(name) for name in all_studies()]
     verdicts = statements.verdicts(everything, places.results)
     # without the time, so that equal verdicts are equal files
@@ -245,10 +259,15 @@ def _conclude(
     write_frame(places.drawn / "report" / "verdicts.parquet", verdicts.claims, same)
     write_frame(places.drawn / "report" / "readings.parquet", verdicts.readings, same)
     html = page.write(everything, verdicts, places, problems)
+    if committing() and places == of_scale("paper"):
+        findings.write_into(README, findings.overview(everything, verdicts.claims, places.results))
     mine = verdicts.of({(s.name, item.name) for s, item in pairs})
     echo("")
-    echo(statements.verdict_text(mine.claims))
+    echo(screen.everything(mine.claims) if every else screen.screen(mine, everything))
+    echo("")
     echo(f"tables   {places.results / 'tables'}")
     echo(f"figures  {places.drawn / 'figures'}")
     echo(f"page     {html}")
+    if not every:
+        echo("each claim with quotation, readings and reason: on the page, or with --all or --json")
     return Drawn(mine, problems, html)

@@ -14,7 +14,7 @@ import numpy as np
 
 from aoabench.maths.intervals import normal_quantile
 from aoabench.maths.statistics import Estimate
-from aoabench.report.text import interval_text, printed_text
+from aoabench.report.text import printed_text
 from aoabench.studies import stored, verdict
 from aoabench.studies.claims import CLASSES, Claim, Reading
 from aoabench.studies.study import Item, Study
@@ -235,7 +235,7 @@ def _counted(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def headline(claims: pd.DataFrame) -> str:
     """How many of the statements that can fail hold, depend on the reading, fail or are open."""
-    judged = claims[claims["counts"]]
+    judged = claims[claims["counts"].astype(bool)]
     counts = judged["verdict"].value_counts()
     texts = {  # for one, and for several
         HOLDS: ("holds in every reading", "hold in every reading"),
@@ -248,27 +248,3 @@ def headline(claims: pd.DataFrame) -> str:
     found = {word: int(counts.get(word, 0)) for word in texts}
     parts = [f"{n} {texts[w][n != 1]}" for w, n in found.items() if n or w in always]
     return f"of {len(judged)} statements that can fail, {', '.join(parts[:-1])} and {parts[-1]}"
-
-
-def verdict_text(claims: pd.DataFrame) -> str:
-    """The verdicts as a table for a terminal, and the headline."""
-    if not len(claims):
-        return "no claims"
-    head = ("study", "item", "claim", "printed", "ours", "verdict")
-    shown = [
-        (
-            row["study"],
-            row["item"],
-            row["what"],
-            row["printed"],
-            f"{interval_text(row['ours'], row['low'], row['high'])} {row['unit']}".strip(),
-            row["verdict"],
-        )
-        for row in claims.to_dict("records")
-    ]
-    widths = [max(len(str(line[i])) for line in [head, *shown]) for i in range(len(head))]
-    lines = [
-        "  ".join(str(cell).ljust(w) for cell, w in zip(line, widths)).rstrip()
-        for line in [head, *shown]
-    ]
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", headline(claims)])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -29,17 +30,12 @@ class Item:
     figure: bool = True
     experiment: str | None = None
     scale: Any = None  # quick and paper: the overrides of an item with an experiment
-    seconds: Any = None  # quick and paper: about how long on two cores, for order and progress
     # input of its function: replications (a tidy frame), or fixes or steps ((cell, {estimator:
     # store.fixes.Fixes}) each)
     reads: str = "replications"
     judged_at: str = "paper"  # the scale that its claims need: paper, or any
     counts: str = "replications"  # the independent units behind its standard errors
     basis: str = ""  # what the claims on it rest on, shown beside each verdict
-
-    def expected_s(self, scale: str) -> float:
-        """About how many seconds the item takes at a scale."""
-        return float((self.seconds or {}).get(scale, 10.0))
 
     @property
     def paper_reps(self) -> float:
@@ -62,6 +58,7 @@ class Study:
     errata: tuple[dict[str, Any], ...]
     schematic: str = ""
     unclaimed: Mapping[str, str] = field(default_factory=dict)  # see claims.Claims
+    findings: tuple[str, ...] = ()  # templates of sentences, see findings.filled
 
     @property
     def numbers(self) -> ModuleType:
@@ -102,6 +99,7 @@ def load(name: str) -> Study:
         tuple(read("errata.yaml")),
         spec.get("schematic", ""),
         found.unclaimed,
+        tuple(spec.get("finding", ())),
     )
 
 
@@ -118,6 +116,12 @@ def _module(folder: Path, name: str) -> ModuleType:
     sys.modules[full] = module
     spec.loader.exec_module(module)
     return module
+
+
+def code_of(study: Study, function: Callable[..., Any]) -> str:
+    """File and name of a function of a study, e.g. experiments/lu2019/numbers/trials.py:fig4."""
+    file = Path(inspect.getfile(function)).relative_to(study.folder).as_posix()
+    return f"experiments/{study.name}/{file}:{function.__name__}"
 
 
 def table_path(results: Path, study: Study, item: Item) -> Path:

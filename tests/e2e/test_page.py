@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from aoabench.studies import claims, page, study
+from aoabench.studies import page, statements, study
 from aoabench.studies.places import Places
 
 CHROMIUM = next(
@@ -31,7 +31,7 @@ def html(tmp_path_factory):
         shutil.copytree(COMMITTED / folder, results / folder)
     (results / "tables" / "nurminen2018_table1.parquet").unlink()
     everything = [study.load(name) for name in study.names()]
-    return page.write(everything, claims.verdicts(everything, results), Places.inside(results))
+    return page.write(everything, statements.verdicts(everything, results), Places.inside(results))
 
 
 def chromium(html, *options, timeout=120):
@@ -83,7 +83,7 @@ def test_it_loads_without_a_complaint_and_asks_no_network(html):
         + "return [shown.length, document.images.length, [...document.images].every((i) => i.alt)];",
     )
     assert console == []
-    assert count[0] > 300
+    assert count[0] > 50
     assert count[1] > 15
     assert count[2], "every figure has a text"
     text = html.read_text(encoding="utf-8")
@@ -109,23 +109,60 @@ def test_a_click_on_a_head_sorts_by_number_and_back(html):
     assert [float(x) for x in down if x] == rising[::-1]
 
 
-def test_filters_by_study_verdict_and_words_join(html):
-    script = """
+SET = """
       const set = (id, value) => { const e = document.getElementById(id); e.value = value; e.dispatchEvent(new Event('input')); };
       const now = () => [...document.querySelectorAll('#front tbody tr')].filter((r) => !r.hidden)
-        .map((r) => [r.dataset.study, r.dataset.verdict, r.textContent]);
+        .map((r) => [r.dataset.study, r.dataset.verdict, r.textContent, r.dataset.class, r.dataset.counts]);
+"""
+
+
+def test_filters_by_study_verdict_class_and_words_join(html):
+    script = f"""{SET}
       set('by-study', 'le2021'); const one = now();
-      set('by-verdict', 'reproduced'); const two = now();
-      set('by-text', 'RMSE 4 deg'); const three = now(), says = document.getElementById('shown').textContent;
-      return [one, two, three, says];
+      set('by-verdict', 'holds'); const two = now();
+      set('by-text', 'RMSE deg'); const three = now(), says = document.getElementById('shown').textContent;
+      set('by-text', ''); set('by-study', ''); set('by-verdict', ''); set('by-class', ''); const all = now();
+      set('by-class', 'own'); const own = now();
+      return [one, two, three, says, all, own];
     """
-    (one, two, three, says), console = told(html, script)
+    (one, two, three, says, every, own), console = told(html, script)
     assert console == []
     assert {r[0] for r in one} == {"le2021"}
-    assert {r[1] for r in two} == {"reproduced"}
-    assert 0 < len(three) < len(two) < len(one)
-    assert all("rmse" in r[2].lower() and "4" in r[2] and "deg" in r[2] for r in three)
-    assert says.startswith(f"{len(three)} of ")
+    assert {r[4] for r in one} == {"yes"}, "at first those that can fail"
+    assert {r[1] for r in two} == {"holds"}
+    assert 0 < len(three) < len(two) < len(one) < len(every)
+    assert all("rmse" in r[2].lower() and "deg" in r[2] for r in three)
+    assert says == f"{len(three)} of {len(every)} shown"
+    assert {r[3] for r in own} == {"own"}
+
+
+def test_a_link_to_a_claim_shows_it_with_its_details(html):
+    script = f"""{SET}
+      set('by-verdict', 'undecided');
+      const link = [...document.querySelectorAll('details.print li a')].find((a) => {{
+        const row = document.getElementById(a.hash.slice(1)); return row && row.hidden; }});
+      const row = document.getElementById(link.hash.slice(1));
+      location.hash = link.hash; dispatchEvent(new Event('hashchange'));
+      const every = [...document.querySelectorAll('#front tbody tr')], dead = [...document.querySelectorAll('a')].filter((a) =>
+        a.hash && !document.getElementById(a.hash.slice(1))).map((a) => a.hash);
+      return [row.hidden, row.querySelector('details').open, dead, every.every((r) => r.querySelector('details code'))];
+    """
+    (hidden, opened, dead, code), console = told(html, script)
+    assert console == []
+    assert (hidden, opened, dead, code) == (False, True, [], True)
+
+
+def test_the_page_begins_with_what_was_found_and_ends_with_the_words(html):
+    script = """return [[...document.querySelectorAll('h2')].map((h) => h.id),
+      [...document.querySelectorAll('#found + ol li')].map((li) => li.textContent),
+      document.querySelectorAll('dt').length];"""
+    (heads, found, words), console = told(html, script)
+    assert console == []
+    assert heads[:2] == ["found", "claims"]
+    assert heads[-3:] == ["leaderboard", "bench", "glossary"]
+    assert found
+    assert all(re.search(r"\d", text) for text in found)
+    assert words > 10
 
 
 def test_it_fits_a_narrow_window(html):
@@ -148,7 +185,7 @@ def test_a_missing_table_is_not_computed_and_its_numbers_are_gone(html):
              "r.dataset.study === 'nurminen2018').map((r) => [r.dataset.verdict, r.cells[4].textContent.trim()]);"  # fmt: skip
     rows, _ = told(html, script)
     assert rows
-    assert {tuple(r) for r in rows} == {("not computed", "-")}
+    assert {tuple(r) for r in rows} == {("not judged", "-")}
 
 
 def test_it_prints(html):

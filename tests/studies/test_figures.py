@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 from aoabench.report import animation, plots
 from aoabench.report.text import number_text
 from aoabench.store.files import read_provenance, write_frame
-from aoabench.studies import page, reproduce, statements, stored, study
+from aoabench.studies import page, reproduce, sections, statements, stored, study
 from aoabench.studies.places import Places
 
 RESULTS = Path(__file__).parents[2] / "results"
@@ -230,7 +230,7 @@ def test_an_embedded_figure_is_smaller_and_looks_the_same(results):
 
     stored.draw(*find("nurminen2018_fig1"), Places.inside(results))
     path = results / "figures" / "nurminen2018_fig1.png"
-    data = base64.b64decode(page.embedded(path))
+    data = base64.b64decode(sections.embedded(path))
     assert len(data) < path.stat().st_size
     small, large = (
         np.asarray(Image.open(f).convert("RGB"), dtype=float) for f in (io.BytesIO(data), path)
@@ -261,7 +261,7 @@ two `x<y` **bold** [words](a.md) ![picture](b.png) <https://a.b>
 
 
 def test_readings_become_html_with_shifted_headings_and_links_without_targets():
-    html = page.readings(READINGS)
+    html = sections.readings(READINGS)
     assert "Title" not in html
     assert "<h1" not in html
     assert "<h4>H <em>a</em></h4>" in html
@@ -288,14 +288,16 @@ def test_readings_become_html_with_shifted_headings_and_links_without_targets():
     "## <script>",
 ])  # fmt: skip
 def test_nothing_in_readings_is_code_for_the_browser(text):
-    html = page.readings(text)
+    html = sections.readings(text)
     assert not re.search(r"<(script|img|b|a)\b", html)
     assert "href" not in html
 
 
 def test_every_study_has_readings_with_closed_tags():
     for name in study.names():
-        html = page.readings((study.load(name).folder / "README.md").read_text(encoding="utf-8"))
+        html = sections.readings(
+            (study.load(name).folder / "README.md").read_text(encoding="utf-8")
+        )
         assert "<h4>" in html
         for tag in ("p", "ul", "ol", "li", "table", "tr", "td", "th", "h4", "code", "pre", "div"):
             assert len(re.findall(rf"<{tag}\b", html)) == html.count(f"</{tag}>"), f"{name} {tag}"

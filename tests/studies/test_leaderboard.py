@@ -1,12 +1,92 @@
-"""Who takes part in the leaderboards."""
+"""Leaderboards against the stored replications: RMSE, reference, bound, coverage, figure."""
 
+import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
 from aoabench.config import catalogue
 from aoabench.config.compose import compose_cells
+from aoabench.engine import runner
+from aoabench.store import tables
+from aoabench.store.fixes import fixes, steps
 from aoabench.studies import study
 
-BOARD = study.load("leaderboard")
+SMALL = {
+    "ble_room": ["reps=3", "scenario.packets=2"],
+    "square_track": ["reps=3", "scenario.steps=4", "noise=vmf", "filter=[ekf_vmf,ekf_aoa]", "estimator=[ls,ml_atan2]"],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=list(SMALL))
+def board(request, tmp_path_factory):
+    """Name of an item, its cell, its replications and its table on a small run."""
+    name, out = request.param, tmp_path_factory.mktemp("out") / "run"
+    words = [f"experiment=leaderboard_{name}", *SMALL[name], "runner.n_jobs=1"]
+    (cell,) = compose_cells([*words, f"runner.out={out}"])
+    runner.run([cell], progress=False)
+    read = {"ble_room": fixes, "square_track": steps}[name]
+    found = {estimator: read(out, cell.id, estimator) for estimator in cell.estimators}
+    frame = getattr(study.load("leaderboard").numbers, name)([(cell, found)])
+    return name, cell, found, tables.load(out), frame.set_index("estimator")
+
+
+def test_rmse_and_ok_are_those_of_the_stored_replications(board):
+    name, _, _, rows, frame = board
+    column = {"ble_room": "rmse_xy_m", "square_track": "rmse_3d_m"}[name]
+    for estimator, part in rows.groupby("estimator"):
+        mine = frame.loc[estimator]
+        assert mine["rmse_m"] == pytest.approx(part[column].mean(), rel=1e-5), estimator
+        assert mine["share_ok"] == part["n_ok"].sum() / part["n_fixes"].sum()
+        assert mine["error_q50_m"] <= mine["error_q95_m"]
+
+
+def test_the_reference_does_not_see_the_truth_and_has_rank_1(board):
+    name, _, _, _, frame = board
+    methods = frame[frame["kind"] != "limit"]
+    assert frame["rmse_m"].is_monotonic_increasing
+    assert set(frame["best"]) == {methods.index[0]}
+    assert list(methods["rank"]) == list(range(1, len(methods) + 1))
+    assert methods.iloc[0]["above_percent"] == 0
+    limits = list(frame.index[frame["kind"] == "limit"])
+    assert limits == {"ble_room": ["best_anchor"], "square_track": []}[name]
+    assert (frame.loc[limits, "rank"] == 0).all()
+    assert "discrepancy" in frame.index or name != "ble_room"
+    filters = {"ble_room": set(), "square_track": {"ekf_vmf", "ekf_aoa"}}[name]
+    assert set(frame.index[frame["kind"] == "filter"]) == filters
+
+
+def test_the_bound_is_that_of_independent_fixes_alone(board):
+    _, cell, _, _, frame = board
+    assert frame["bound_m"].isna().all(), "no bound for a track or for multipath"
+    numbers = study.load("leaderboard").numbers
+    (grid,) = compose_cells(["experiment=leaderboard_bs_grid", "noise.sigma_deg=2"])
+    (half,) = compose_cells(["experiment=leaderboard_bs_grid", "noise.sigma_deg=1"])
+    assert numbers.bound_m(grid) == pytest.approx(2 * numbers.bound_m(half), rel=1e-12)
+    squares, crb_xy = study.load("le2021").numbers.bound(grid)
+    assert numbers.bound_m(grid) == pytest.approx(np.sqrt(squares.mean()), rel=1e-12)
+
+
+def test_the_figure_draws_each_bar_or_cuts_and_labels_it(board):
+    _, _, _, _, frame = board
+    rows = frame.reset_index()
+    rows.loc[rows.index[-1], "rmse_m"] = 1e6
+    figure = study.load("leaderboard").figures.board(rows)
+    axis = figure.axes[0]
+    widths = [patch.get_width() for patch in axis.patches][::-1]  # the best on top
+    end = axis.get_xlim()[1]
+    assert widths == pytest.approx(np.minimum(rows["rmse_m"], end))
+    texts = [text.get_text() for text in axis.texts]
+    assert texts.count("1e+06 m \u2192") == 1
+    assert sum(text.endswith(" %") for text in texts) == len(rows)
+    plt.close(figure)
+
+
+def test_the_first_replications_are_taken_alone(board):
+    _, _, found, _, _ = board
+    one = next(iter(found.values()))
+    two = one.first(2)
+    assert len(two.error_3d_m) == len(two.outcome) == 2
+    assert np.array_equal(two.error_3d_m, one.error_3d_m[:2], equal_nan=True)
 
 
 @pytest.mark.parametrize(
@@ -20,7 +100,7 @@ BOARD = study.load("leaderboard")
 )
 def test_every_estimator_that_fits_takes_part_or_is_named_as_left_out(item, setting):
     """So that "best" says of which."""
-    text = (BOARD.folder / "README.md").read_text(encoding="utf-8")
+    text = (study.load("leaderboard").folder / "README.md").read_text(encoding="utf-8")
     part = text[text.index("**Who takes part:**") : text.index("**RMSE**")]
     (cell,) = compose_cells([f"experiment=leaderboard_{item}", setting])
     fits = catalogue.fitting_estimators(cell.scenario, cell.noise)

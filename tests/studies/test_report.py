@@ -29,7 +29,7 @@ def test_reproduce_writes_tables_figures_page_and_verdicts(results):
         assert origin["libraries"]["numpy"]
     assert (folder / "figures" / "nurminen2018_fig1.png").stat().st_size > 10_000
     assert not (folder / "figures" / "nurminen2018_table1.png").exists(), "a table, not a figure"
-    for word in ("verdict", "holds", "tables", "figures", "page", "index.html"):
+    for word in ("claims that can fail", "holds", "tables", "figures", "page", "index.html"):
         assert word in said
 
 

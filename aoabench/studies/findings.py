@@ -1,0 +1,77 @@
+"""What was found, in sentences whose numbers come from the stored tables."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from aoabench.errors import UserError
+from aoabench.maths.statistics import Estimate
+from aoabench.store.files import write_atomically
+from aoabench.studies import stored
+from aoabench.studies.statements import headline
+from aoabench.studies.study import Study
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Values = Mapping[str, tuple[Estimate, float]]
+_NUMBER = re.compile(r"\{([^{}:]+?)(?:\.(low|high|se))?(?::([^{}]*))?\}")
+_MARKS = re.compile(r"(<!-- findings -->\n).*?(\n<!-- /findings -->)", re.DOTALL)
+
+
+def filled(template: str, values: Values) -> str | None:
+    """A sentence with {id}, {id.low}, {id.high} or {id.se}, each with a format such as {id:.2f},
+    filled with our number of this id, the ends of its 95 % interval or its standard error; None if
+    a number was not computed.
+
+    Raises UserError for a format that is none.
+    """
+    if any(match[1] not in values for match in _NUMBER.finditer(template)):
+        return None
+
+    def text(match: re.Match[str]) -> str:
+        estimate = values[match[1]][0]
+        low, high = estimate.interval()
+        parts = {None: estimate.value, "low": low, "high": high, "se": estimate.se}
+        try:
+            return format(parts[match[2]], match[3] or ".3g")
+        except ValueError:
+            raise UserError(
+                f"finding: {match[0]}: no format of a number; allowed: {{id:.2f}} and the like"
+            ) from None
+
+    return " ".join(_NUMBER.sub(text, template).split())
+
+
+def overview(studies: Sequence[Study], claims: pd.DataFrame, results: Path) -> list[str]:
+    """A text for each study that has findings, from the tables under `results`, and one on all
+    claims and errata. Sentences of numbers that were not computed are left out.
+    """
+    texts = []
+    for study in studies:
+        if study.findings:
+            contents = [stored.read(study, item, results).values for item in study.items]
+            values = {key: value for one in contents for key, value in one.items()}
+            sentences = [filled(template, values) for template in study.findings]
+            texts += [" ".join(filter(None, sentences))]
+    head = headline(claims)
+    errata = sum(len(study.errata) for study in studies)
+    last = f"{head[:1].upper()}{head[1:]}; {errata} errata of the papers, each with a test."
+    return [*filter(None, texts), last]
+
+
+def write_into(readme: Path, texts: Sequence[str]) -> None:
+    """Write the texts as a numbered list between the marks <!-- findings --> and <!-- /findings -->
+    of a Markdown file.
+    """
+    text = readme.read_text(encoding="utf-8")
+    new = _MARKS.sub(lambda m: m[1] + listed(texts) + m[2], text)
+    write_atomically(readme, lambda temporary: temporary.write_text(new, encoding="utf-8"))
+
+
+def listed(texts: Sequence[str]) -> str:
+    """The texts as a numbered list in Markdown."""
+    return "\n".join(f"{number}. {text}" for number, text in enumerate(texts, 1))

@@ -1,0 +1,103 @@
+"""Which items a command computes, in which order, and what it says of the time left."""
+
+import re
+
+import pytest
+
+from aoabench.errors import UserError
+from aoabench.studies import places, progress, reproduce, study
+from aoabench.studies.choice import cheapest_first, chosen
+
+KNOWN = study.names()
+
+
+def names(pairs):
+    return [f"{s.name}/{item.name}" for s, item in pairs]
+
+
+def test_a_list_names_items_of_all_studies_or_of_one():
+    assert names(chosen([], "nurminen2018/fig4,table1", KNOWN)) == [
+        "le2021/table1",
+        "lu2019/table1",
+        "nurminen2018/table1",
+        "nurminen2018/fig4",
+    ]
+    assert names(chosen(["lu2019"], "fig4, table1", KNOWN)) == ["lu2019/table1", "lu2019/fig4"]
+    assert names(chosen(["lu2019", "lu2019"], "lu2019/fig4,fig4", KNOWN)) == ["lu2019/fig4"]
+    assert len(chosen([], None, KNOWN)) == sum(len(study.load(n).items) for n in KNOWN)
+
+
+@pytest.mark.parametrize(
+    ("studies", "only", "words"),
+    [
+        ([], "fig99", ["--only=fig99", "did you mean 'fig"]),
+        ([], "fig4,fug5", ["--only=fug5", "did you mean 'fig5'"]),
+        ([], "nurminen2018/fig44", ["did you mean 'nurminen2018/fig4'"]),
+        ([], "nurmine2018/fig4", ["did you mean 'nurminen2018/fig4'"]),
+        (["le2021"], "nurminen2018/fig4", ["--only=nurminen2018/fig4", "le2021/fig"]),
+        ([], "fig4,", ["--only=: unknown item", "allowed: "]),
+        (["le2012"], None, ["'le2012'", "did you mean 'le2021'"]),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_it(studies, only, words):
+    with pytest.raises(UserError) as told:
+        chosen(studies, only, KNOWN)
+    line = str(told.value)
+    assert "\n" not in line
+    assert len(line) < 1000
+    for word in words:
+        assert word in line
+
+
+def test_cheap_items_come_first_and_those_of_one_experiment_stay_together():
+    pairs = chosen(["le2021"], None, KNOWN)
+    seconds = {f"le2021/{i.name}": 1.0 for _, i in pairs} | {"le2021/zones": 2.5}
+    assert names(cheapest_first(pairs, seconds)) == [
+        f"le2021/{name}" for name in ("fig5", "errata", "pole", "zones", "fig6", "fig7", "table1")
+    ]  # fig6, fig7, table1 share one experiment: 3 s
+
+
+def test_the_first_figure_is_cheap_at_both_scales():
+    for scale in ("quick", "paper"):
+        seconds = progress.expected(scale)
+        pairs = cheapest_first(chosen([], None, KNOWN), seconds)
+        first = next(k for k, (_, item) in enumerate(pairs) if item.figure)
+        assert sum(seconds[name] for name in names(pairs)[: first + 1]) < 30
+
+
+def test_the_time_left_follows_the_speed_of_this_machine():
+    pairs = chosen(["le2021"], "fig5,fig6,fig7", KNOWN)
+    pace = progress.Pace(pairs, {"le2021/fig5": 10.0, "le2021/fig6": 30.0, "le2021/fig7": 60.0})
+    assert pace.text() == "0 of 3 done, about 2 min left"
+    pace.done(30.0)
+    assert pace.left_s == 270.0
+    assert pace.text() == "1 of 3 done, about 4 min left"
+    pace.done(0.0)
+    assert pace.left_s == pytest.approx(60 * 30 / 40)
+    pace.done(1.0)
+    assert pace.text() == "3 of 3 done"
+
+
+def test_durations_are_short_texts():
+    texts = [progress.duration(s) for s in (0.2, 89, 91, 5399, 5401)]
+    assert texts == ["1 s", "89 s", "2 min", "90 min", "1.5 h"]
+
+
+def test_seconds_are_kept_with_commit_only(tmp_path, monkeypatch):
+    file = tmp_path / "pace.yaml"
+    file.write_text("{quick: {le2021/fig5: 3.0, le2021/fig6: 4.0}}")
+    monkeypatch.setattr(progress, "_pace_file", lambda: file)
+    monkeypatch.setattr(reproduce, "all_studies", lambda: ["le2021"])
+    where = places.of_scale("quick", tmp_path / "results")
+    monkeypatch.delenv("COMMIT", raising=False)
+    lines = []
+    reproduce.reproduce(["le2021"], "quick", "fig5", where, lines.append)
+    assert progress.expected("quick")["le2021/fig5"] == 3.0
+    assert re.match(r"le2021 fig5: 1012 rows, [\d.]+ s \(quick\); 1 of 1 done$", lines[0])
+    assert (tmp_path / "results" / "figures" / "le2021_fig5.png").exists()
+    monkeypatch.setenv("COMMIT", "1")
+    done = reproduce.reproduce(["le2021"], "quick", "fig5", where, lines.append)
+    seconds = progress.expected("quick")
+    assert seconds["le2021/fig5"] == done.computed[0]["seconds"] != 3.0
+    assert seconds["le2021/fig6"] == 4.0
+    assert seconds["le2021/new"] == 10.0
