@@ -128,7 +128,7 @@ def test_the_leaderboard_is_in_the_order_of_its_rmse_and_says_intervals():
         assert (others["above_percent"] <= others["above_high"]).all()
     shown = stored.read(s, item, RESULTS).shown
     assert list(shown["estimator"]) == list(frame["estimator"])
-    assert shown.iloc[0, 4] == "best"
+    assert shown["above the best [%], 95 % interval"].iloc[0] == "best"
 
 
 @pytest.fixture

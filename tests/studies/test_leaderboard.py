@@ -62,7 +62,7 @@ def test_the_bound_is_that_of_independent_fixes_alone(board):
     (grid,) = compose_cells(["experiment=leaderboard_bs_grid", "noise.sigma_deg=2"])
     (half,) = compose_cells(["experiment=leaderboard_bs_grid", "noise.sigma_deg=1"])
     assert numbers.bound_m(grid) == pytest.approx(2 * numbers.bound_m(half), rel=1e-12)
-    squares, crb_xy = study.load("le2021").numbers.bound(grid)
+    squares, crb_xy = study.load("le2021").numbers.common.bound(grid)
     assert numbers.bound_m(grid) == pytest.approx(np.sqrt(squares.mean()), rel=1e-12)
 
 
