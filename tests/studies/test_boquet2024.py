@@ -500,6 +500,9 @@ def test_readings_are_compared_with_the_one_used_here_and_with_the_best_anchor(r
         common.difference(low, best).value
     )
     assert np.isnan(frame.loc["as here", 1.0]["effect"])
+    assert np.isnan(frame.loc["sigma 11.1 deg", 1.0]["over_no_vote"]), (
+        "without S2 has other deviations"
+    )
     none = common.error(fixes["df_no_vote_20"])
     wide = common.error(fixes["df_as_here_20"])
     assert frame.loc["as here", 2.0]["over_no_vote_same"] == pytest.approx(

@@ -25,6 +25,7 @@ READINGS = {  # stems of the estimators in configs/experiment/boquet2024_reading
 R_SIGMAS = (0.2, 0.4, 1.0, 2.0)
 HEIGHT_M = 1.0  # of the node, where only the filter is varied
 WITHOUT_AT = 1.0  # R_sigma of the filter without the vote in Figure 5
+WITHOUT = ("as_here", "ties_by_area")  # whose options, but for the vote, the one without it has
 
 
 def readings(runs: Runs) -> pd.DataFrame:
@@ -32,8 +33,8 @@ def readings(runs: Runs) -> pd.DataFrame:
     P(error <= 1 m), paired over campaigns.
 
     `over_best`: minus that of the best single anchor; `over_no_vote`: minus that without the second
-    stage at R_sigma = WITHOUT_AT, `over_no_vote_same` at the same one. `effect` and `lost_effect`:
-    P(error <= 1 m) and R_d minus those of the reading that the study uses.
+    stage at R_sigma = WITHOUT_AT, `over_no_vote_same` at the same one, for WITHOUT. `effect` and
+    `lost_effect`: P(error <= 1 m) and R_d minus those of the reading that the study uses.
     """
     cells = {cell.scenario.known_height_m: fixes for cell, fixes in runs}
     base = cells[HEIGHT_M]
@@ -55,9 +56,10 @@ def _row(
         "within_1m": within(e),
         "lost": lost(f),
         "over_best": difference(e, error(fixes["best_anchor"])),
-        "over_no_vote": difference(e, error(fixes[of("no_vote", WITHOUT_AT)])),
-        "over_no_vote_same": difference(e, error(fixes[of("no_vote", r)])),
     }
+    if stem in WITHOUT:
+        found["over_no_vote"] = difference(e, error(fixes[of("no_vote", WITHOUT_AT)]))
+        found["over_no_vote_same"] = difference(e, error(fixes[of("no_vote", r)]))
     if f is not used:
         found["effect"] = difference(e, error(used))
         found["lost_effect"] = statistics.ratio_difference(*rejected(f), *rejected(used))
