@@ -171,11 +171,12 @@ class _Collect:
         """The summary of every estimator in every cell."""
         table = self._joined("summary", self.summary, SUMMARY)
         frame: pd.DataFrame = table.to_pandas()
-        at = [self.place[cell] for cell in table["cell"].to_pylist()]
-        for name, values in self.swept.items():
+        if self.swept:
             import pandas as pd
 
-            frame[name] = one_kind(pd.Series([values[i] for i in at]))
+            at = [self.place[cell] for cell in table["cell"].to_pylist()]
+            each = {n: one_kind(pd.Series([v[i] for i in at])) for n, v in self.swept.items()}
+            frame = pd.concat([frame, pd.DataFrame(each, index=frame.index)], axis=1)
         rest = [c for c in SUMMARY if c not in IDENTITY]
         return frame[[*IDENTITY, *self.swept, *rest]]
 

@@ -6,8 +6,10 @@ import pandas as pd
 import aoabench
 from aoabench.maths import statistics
 from aoabench.store import fixes as fixes_module
+from aoabench.store import tables
 from aoabench.store.fixes import clusters
 from aoabench.types import Estimates, Outcome
+from tests.store import made
 
 
 def test_a_parameter_may_be_a_number_in_one_scenario_and_a_list_in_another(tmp_path):
@@ -59,3 +61,13 @@ def test_packets_of_one_position_are_one_cluster_in_the_summary(tmp_path):
     assert some.replications == 2
     assert np.array_equal(some.fixes, np.full(42, 6.0))
     assert clusters(tmp_path, cell, "choosy").fixes.sum() == 4 * 126 * 2 / 3
+
+
+def test_a_summary_with_many_swept_parameters_warns_of_nothing(tmp_path, recwarn):
+    """pandas warns of a frame whose columns come one by one from the hundredth on."""
+    for cell, value in (("a", 1.0), ("b", 2.0)):
+        made.cell(tmp_path, cell, ["ls"], **{f"parameter_{i}": value for i in range(120)})
+    tables.collect(tmp_path)
+    summary = pd.read_parquet(tmp_path / "summary.parquet").set_index("cell")
+    assert list(summary["noise.parameter_119"]) == [1.0, 2.0]
+    assert not [str(w.message) for w in recwarn.list]

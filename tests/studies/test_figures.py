@@ -74,8 +74,9 @@ def test_every_committed_table_draws_with_units_and_the_one_bound(s, item, figur
 def test_figure_6_draws_rmse_and_bound_of_its_table(figure_of):
     s, item = find("le2021_fig6")
     frame = stored.table(RESULTS, s, item)
-    left, right = figure_of(s, item).axes
-    for name, style in s.figures.STYLES.items():
+    left, middle, _ = figure_of(s, item).axes
+    for name in s.figures.NAMES:
+        style = s.figures.STYLES[name]
         rows = frame[frame["estimator"] == name].sort_values("sigma_deg")
         assert any(
             np.array_equal(line.get_ydata(), rows["rmse_m"])
@@ -87,7 +88,7 @@ def test_figure_6_draws_rmse_and_bound_of_its_table(figure_of):
     )
     (one,) = [
         line
-        for line in right.lines
+        for line in middle.lines
         if line.get_linestyle() == "--" and to_hex(line.get_color()) == "#000000"
     ]
     assert set(one.get_ydata()) == {1}

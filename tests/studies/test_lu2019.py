@@ -1,16 +1,17 @@
-"""The study's own statistics and counts, and every printed id."""
+"""The study's own statistics and counts."""
 
+import math
 import subprocess
 import sys
+from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from aoabench.studies import study
-
-LU = study.load("lu2019")
-N = LU.numbers
+from aoabench.engine.tiles import Draws
+from aoabench.maths.digest import flatten
+from aoabench.maths.geometry import to_unit
+from tests.studies.lu2019 import LU, N, errata_runs, made_up
 
 COUNTING = """
 import math
@@ -97,33 +98,34 @@ def test_textbook_count_is_what_dense_loops_multiply():
     assert N.cost.textbook_count(m, n) == sum(a * b * c for a, b, c in products) + m**3
 
 
+@dataclass
+class Counted:
+    """A number that counts the multiplications it takes part in."""
+
+    products = 0
+
+    def __mul__(self, other):
+        Counted.products += 1
+        return self
+
+    def __add__(self, other):
+        return self
+
+
+def test_the_centroids_printed_count_is_that_of_its_equations():
+    """(12): c tau cos(phi) cos(theta) and so on; (14): each position times its weight."""
+    c, tau, cos_phi, sin_phi, cos_theta, sin_theta, an, weight = (Counted() for _ in range(8))
+    Counted.products = 0
+    for _ in range(4):
+        x = an + c * tau * cos_phi * cos_theta
+        y = an + c * tau * cos_phi * sin_theta
+        z = an + c * tau * sin_phi
+        _ = [x * weight, y * weight, z * weight]
+    assert N.cost.textbook_centroid_count(4) == Counted.products
+
+
 def test_printed_counts():
     assert [N.cost.printed_count(name, 4, 9) for name in N.METHODS] == [27648, 13824, 44]
-
-
-def made_up(levels, rng, trials=40):
-    """Trials whose filter error grows with the uncertainty and whose centroid's does not."""
-    rows = []
-    for kind in ("independent", "common"):
-        for sigma in levels:
-            for name, slope, offset in (
-                ("ekf_toa_aoa", 1.0, 0.0),
-                ("ekf_aoa", 2.0, 0.0),
-                ("wcg", 0.0, 2.0),
-            ):
-                for r, e in enumerate(rng.gamma(100, 0.01, trials)):
-                    rmse = offset * e + slope * sigma * e
-                    rows.append((f"{kind}{sigma}", kind, sigma, name, r, rmse, 0.1 * rmse))
-    columns = [
-        "cell",
-        "noise.an_error",
-        "noise.an_sigma_m",
-        "estimator",
-        "replication",
-        "rmse_3d_m",
-        "rmse_z_m",
-    ]
-    return pd.DataFrame(rows, columns=columns)
 
 
 def test_crossing_is_found_with_its_interval(rng):
@@ -155,32 +157,6 @@ def test_diverged_trials_are_counted_and_not_dropped(rng):
     assert 5 < row["kept_3d"] < 15
 
 
-def errata_runs(rng):
-    rows = []
-    for sigma in (0.0, 5.0):
-        for gain in ("[]", '["gain"]'):
-            for flags in ("[]", '["jacobian"]', '["wrap"]', '["shared"]', '["cross"]'):
-                for name in ("ekf_toa_aoa", "ekf_aoa", "wcg", "wcg_as_printed"):
-                    factor = (
-                        1
-                        + ("gain" in gain)
-                        + 2 * ("wrap" in flags) * ("ekf" in name)
-                        + 3 * ("printed" in name)
-                    )
-                    for r, e in enumerate(rng.gamma(100, 0.01, 5)):
-                        rows.append(
-                            (f"{sigma}{gain}{flags}", sigma, gain, flags, name, r, factor * e)
-                        )
-    columns = [
-        "cell",
-        "noise.an_sigma_m",
-        "noise.as_printed",
-        "filter.ekf_toa_aoa.as_printed",
-        "estimator",
-    ]
-    return pd.DataFrame(rows, columns=[*columns, "replication", "rmse_3d_m"])
-
-
 def test_each_erratum_is_taken_alone(rng):
     frame = N.errata(errata_runs(rng))
     variants = frame.groupby("estimator")["variant"].unique()
@@ -196,52 +172,66 @@ def test_each_erratum_is_taken_alone(rng):
         assert rmse[key] == pytest.approx(factor, rel=0.2)
 
 
-@pytest.fixture(scope="module")
-def fig2():
-    return N.fig2("quick")
+def test_each_setting_changes_one_key_and_has_a_label():
+    labels = sys.modules[f"{LU.figures.__name__}.readings"].SETTINGS
+    assert list(labels) == list(N.common.SETTINGS)
+    base = dict(flatten(N.common.cell_of().config))
+    for setting, words in N.common.SETTINGS.items():
+        config = dict(flatten(N.common.cell_of(*words).config))
+        changed = {k for k in base.keys() | config.keys() if base.get(k) != config.get(k)}
+        assert changed == {word.split("=")[0] for word in words}, setting
+        assert len(changed) == (setting != "chosen")
 
 
-def test_every_printed_id_and_effect_is_found_and_every_figure_draws(rng, fig2):
-    import matplotlib.pyplot as plt
-
-    levels = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0]
-    nees = [
-        (scenario, sigma, name, t, 3.0 + rng.normal(), 16)
-        for scenario in ("indoor_map", "indoor_map_model") for sigma in (0.0, 0.5, 5.0)
-        for name in N.METHODS[:2] for t in (5.0, 20.0, 30.0)
-    ]  # fmt: skip
-    tables = {
-        "table1": N.table1("quick"), "fig2": fig2, "fig4": N.fig4(made_up(levels, rng)),
-        "fig3": pd.DataFrame(
-            [("cdf", n, x, 0.5, np.nan, 8) for n in ("toa_m", "azimuth_deg", "elevation_deg") for x in (-1.0, 1.0)]
-            + [(k, n, np.nan, 90.0, 1.0, 8) for k, n in (
-                ("share", "angles_within_half_degree"), ("share", "toa_within_10_m"), ("share", "thermal_within_printed"),
-                ("ratio", "all_over_thermal"))],
-            columns=["kind", "name", "x", "value", "se", "trials"],
-        ),
-        "table2": pd.DataFrame([
-            {"estimator": n, "printed_formula": 1, "textbook": 1, "ours": 1, "microseconds_per_step": 1.0} for n in N.METHODS
-        ]),
-        "errata": N.errata(errata_runs(rng)),
-        "nees": pd.DataFrame(nees, columns=["scenario", "an_sigma_m", "estimator", "time_s", "nees", "trials"]),
-    }  # fmt: skip
-    found = {
-        key
-        for name, frame in tables.items()
-        for key in getattr(LU.figures, f"{name}_values")(frame)
+def test_shares_of_azimuth_and_elevation_are_apart():
+    errors = {
+        "azimuth_deg": np.array([-0.6, 0.1, 0.2, 0.5]),
+        "elevation_deg": np.array([0.1, -0.1, 0.1, 0.1]),
+        "toa_m": np.array([3.0, -3.0, 3.0, 11.0]),
+        "thermal_cm": np.array([0.01, 0.02, 0.03, 9.0]),
+        "across_m": np.array([[0.2, 0.0], [0.2, 0.2]]),
     }
-    assert {e["id"] for e in LU.printed} <= found
-    assert {e["effect"]["id"] for e in LU.errata if "effect" in e} <= found
-    for item in LU.items:
-        if item.figure:
-            figure = getattr(LU.figures, item.name)(tables[item.name])
-            assert figure.axes
-            plt.close(figure)
+    found = {name: number(errors) for name, (_, number) in N.setting.NUMBERS.items()}
+    toa = math.sqrt((3 * 9 + 121) / 4)
+    expected = {
+        "azimuth_within_half_degree": 75.0,
+        "elevation_within_half_degree": 100.0,
+        "toa_within_10_m": 75.0,
+        "thermal_median_cm": 0.025,
+        "all_over_thermal": toa / 0.00025,
+        "toa_over_across": toa / math.sqrt(0.03),
+    }
+    assert found == pytest.approx(expected)
 
 
-def test_the_map_counts_what_the_paper_says(fig2):
-    values = LU.figures.fig2_values(fig2)
-    assert values["fig2/length_m"].value == 150
-    assert values["fig2/width_m"].value == 112
-    assert values["fig2/least_line_of_sight"].value >= 4
-    assert values["fig2/per_25_m2"].value == pytest.approx(1.24, abs=0.005)
+@pytest.fixture(scope="module")
+def coarse():
+    """A cell of few steps, and the words that make it so."""
+    return N.common.cell_of("scenario.dt=5", "noise.an_sigma_m=0.5")
+
+
+def test_errors_across_are_distances_between_directions(coarse):
+    """The points at the true distance in the measured and in the true direction."""
+    draws = Draws(coarse.scenario, coarse.noise, coarse.seed)
+    truth, batch = draws.tile(0, 8)
+    anchors = coarse.scenario.true_anchors
+    offset = truth[:, :, None, :3] - anchors.position
+    d = np.linalg.norm(offset, axis=-1)
+    local = to_unit(batch.azimuth, batch.elevation)
+    measured = np.einsum("rtbi,bij->rtbj", local, anchors.rotation[0, 0])
+    apart = np.linalg.norm(d[..., None] * measured - offset, axis=-1)
+    for r, errors in enumerate(N.setting.tile_errors(coarse, draws, 0)):
+        expected = apart[r][np.isfinite(batch.azimuth[r])]
+        small = expected < 0.05 * d[r][np.isfinite(batch.azimuth[r])]
+        assert small.mean() > 0.9
+        across = np.hypot(*errors["across_m"].T)
+        assert across[small] == pytest.approx(expected[small], rel=2e-3)
+
+
+def test_trials_of_the_readings_are_the_cells_replications(coarse):
+    few, more = (N.readings.__globals__["trial_rmses"](coarse, n) for n in (8, 16))
+    assert set(more) == set(N.METHODS)
+    for name, found in more.items():
+        for part, values in found.items():
+            assert len(values) == len(np.unique(values)) == 16
+            assert np.array_equal(values[:8], few[name][part])

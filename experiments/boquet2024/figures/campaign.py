@@ -35,7 +35,7 @@ def fig5(frame: pd.DataFrame) -> Figure:
         label = rf"$R_\sigma$ = {r:g}, $R_d$ = {lost:.2f}"
         _band(axis, rows, color=colormaps["viridis"](r / 2.3), label=label)
     _band(axis, frame[frame["r_sigma"].isna()], color=GREY, ls=":", label="without S2, $R_d$ = 0")
-    within = [printed[f"fig5/{r:g}/within"] for r in PRINTED_AT]
+    within = [printed[f"misfit/within/{r:g}"] for r in PRINTED_AT]
     axis.plot([1, 1], within, **{**PRINTED, "label": "printed, 0.4 and 2"})
     axis.set(xlabel=ERROR, ylabel="share of the given fixes", xlim=(0, 4), ylim=(0, 1))
     axis.legend()
@@ -45,11 +45,7 @@ def fig5(frame: pd.DataFrame) -> Figure:
 def fig5_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """P(error <= 1 m) for each R_sigma and without the vote."""
     rows = frame[np.isclose(frame["error_m"], 1.0)].to_dict("records")
-    return {
-        f"fig5/{'no vote' if r['r_sigma'] != r['r_sigma'] else format(r['r_sigma'], 'g')}"
-        "/within": estimate(r, "cdf")
-        for r in rows
-    }
+    return {f"fig5/{r['method']}/within": estimate(r, "cdf") for r in rows}
 
 
 def fig6(frame: pd.DataFrame) -> Figure:
@@ -63,7 +59,7 @@ def fig6(frame: pd.DataFrame) -> Figure:
     ):
         style = {"color": colour, "marker": marker, "ms": 3}
         points(axis, frame["r_sigma"], frame, key, label=label, **style)
-    right.plot(PRINTED_AT, [printed[f"fig6/{r:g}/lost"] for r in PRINTED_AT], **PRINTED)
+    right.plot(PRINTED_AT, [printed[f"misfit/lost/{r:g}"] for r in PRINTED_AT], **PRINTED)
     left.set(xlabel=r"$R_\sigma$", ylabel="error [m]", ylim=(0, None))
     right.set(xlabel=r"$R_\sigma$", ylabel=r"discard ratio $R_d$", ylim=(0, 1))
     for axis in (left, right):
@@ -72,21 +68,28 @@ def fig6(frame: pd.DataFrame) -> Figure:
 
 
 def fig6_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Discard ratios, how RMSE and CEP90 rise from R_sigma 0.2 to 2, and the steps of R_d.
-
-    Differences between R_sigmas take their errors as independent.
+    """Each measure for each R_sigma, its steps from one R_sigma to the next, the rise of RMSE and
+    CEP90 from R_sigma 0.2 to 2, and how much less R_d falls from 1.6 to 1.8 than from 0.6 to 0.8.
+    Steps of P(error <= 1 m) are in percent points.
     """
+    found = {}
+    measures = [name for name in frame if f"{name}_se" in frame]
+    shown = [name for name in measures if not name.endswith(("_rise", "_slower"))]
+    for r in frame.to_dict("records"):
+        for name in shown:
+            if np.isfinite(r[name]):
+                value = estimate(r, name)
+                if name == "within_1m_more":
+                    value = value.percent()
+                found[f"fig6/{r['r_sigma']:g}/{name}"] = value
+        for name in ("lost", "discarded"):
+            found[f"fig6/{r['r_sigma']:g}/{name}_percent"] = estimate(r, name).percent()
+        found[f"fig6/{r['r_sigma']:g}/given_percent"] = (-1 * estimate(r, "lost") + 1).percent()
     by = {round(r["r_sigma"], 1): r for r in frame.to_dict("records")}
-    found = {
-        f"fig6/{r:g}/{key}": estimate(by[r], key)
-        for r in PRINTED_AT
-        for key in ("lost", "discarded")
-    }
-    for key in ("rmse_m", "cep90_m"):
-        found[f"fig6/{key}/rise"] = estimate(by[2.0], key) - estimate(by[0.2], key)
-    steps = {r: estimate(row, "lost_less") for r, row in by.items()}
-    found["fig6/lost/least step"] = min((steps[r] for r in sorted(by)[1:]), key=lambda s: s.value)
-    found["fig6/lost/early minus late"] = steps[0.7] + steps[0.8] - steps[1.7] - steps[1.8]
+    for name in ("rmse_m", "cep90_m"):
+        found[f"fig6/{name}/rise"] = estimate(by[2.0], f"{name}_rise")
+    for name in ("lost", "discarded"):
+        found[f"fig6/{name}/early minus late"] = estimate(by[1.8], f"{name}_slower")
     return found
 
 
@@ -113,6 +116,12 @@ def fig7(frame: pd.DataFrame) -> Figure:
     figure.supylabel("share of the fixes", fontsize=8)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
+
+
+def fig7_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """P(error <= 1 m) of each curve."""
+    rows = frame[np.isclose(frame["error_m"], 1.0)].to_dict("records")
+    return {f"fig7/{r['on']}/{r['method']}/within": estimate(r, "cdf") for r in rows}
 
 
 def _df(name: str) -> str:
@@ -161,28 +170,12 @@ def _patch(colour: str, label: str) -> Any:
     return Patch(color=colour, alpha=0.55, label=label)
 
 
-def _error_of_mean(se: Any) -> float:
-    """Standard error of the mean of independent numbers from their standard errors (N,)."""
-    return float(np.sqrt((se**2).sum()) / len(se))
-
-
 def fig8_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Means of the medians over the room, and over its inner part (y > 4 m) and outer part against
-    A1's.
-    """
+    """The median error in m of each method at each point, and of the filter that minus A_1's."""
     found = {}
-    mean = frame.groupby("method")[["median_m", "printed_m", "unnamed_m"]].mean()
-    for name, row in mean.iterrows():
-        se = frame.loc[frame["method"] == name, "median_se"]
-        found[f"fig8/{name}/mean"] = Estimate(float(row["median_m"]), _error_of_mean(se))
-    wide = frame.pivot(index=["x_m", "y_m"], columns="method", values="median_m").reset_index()
-    se = frame.pivot(index=["x_m", "y_m"], columns="method", values="median_se").reset_index()
-    inner = wide["y_m"] > 4
-    for part, rows in (("inner", inner), ("outer", ~inner)):
-        for name in ("anchor_mean", "discrepancy"):
-            d = (wide[name] - wide["single_anchor_1"])[rows]
-            e = np.hypot(se[name], se["single_anchor_1"])[rows]  # taken as independent
-            found[f"fig8/{name}/{part}"] = Estimate(float(d.mean()), _error_of_mean(e))
-    d = wide["discrepancy"] < wide["single_anchor_1"]
-    found["fig8/discrepancy/better points"] = Estimate(100 * float(d.mean()), 0.0)
+    for r in frame.to_dict("records"):
+        at = f"fig8/{r['method']}/{r['x_m']:g},{r['y_m']:g}"
+        found[at] = Estimate(r["median_m"], r["median_se"])
+        if r["method"] == "discrepancy":
+            found[f"{at}/more"] = estimate(r, "more_m")
     return found

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench import resources
+from aoabench.maths.intervals import normal_quantile
 from aoabench.maths.statistics import Estimate
 
 NAMES = {
@@ -37,6 +38,7 @@ STYLES = {
 DF = {"color": "#D55E00", "marker": "o", "ms": 3}
 PRINTED = {"color": "black", "marker": "*", "ls": "", "ms": 8, "label": "printed"}
 ERROR = "horizontal error [m]"
+CONFIDENCE = 0.997  # of the intervals of dot plots, as of the verdicts
 LIMIT = "P(error ≤ 1 m)"
 printed = resources.printed("boquet2024")
 PRINTED_AT = (0.4, 2.0)  # R_sigma at which the paper prints numbers of the filter
@@ -52,6 +54,14 @@ def points(
 ) -> None:
     """Draw a column against x with bars of three standard errors."""
     axis.errorbar(x, scale * rows[key], yerr=3 * scale * rows[f"{key}_se"], **style)
+
+
+def intervals(
+    axis: Any, rows: pd.DataFrame, key: str, y: np.ndarray, scale: float = 1, **style: Any
+) -> None:
+    """Draw a column as horizontal points with intervals at the level of the verdicts."""
+    half = scale * normal_quantile(CONFIDENCE) * rows[f"{key}_se"].to_numpy()
+    axis.errorbar(scale * rows[key].to_numpy(), y, xerr=half, **style)
 
 
 def raster(axis: Any, rows: pd.DataFrame, values: np.ndarray, **style: Any) -> Any:

@@ -46,14 +46,10 @@ def ranking(frame: pd.DataFrame) -> Figure:
 
 
 def ranking_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Differences of P(error <= 1 m) in percent points; those of the discrepancy filter at R_sigma
-    0.2 and 1 only.
-    """
-    rows = frame[
-        ~frame["method"].str.startswith("df") | frame["method"].isin(["df 0.2", "df 1"])
-    ].to_dict("records")
+    """Differences of P(error <= 1 m) in percent points."""
     return {
-        f"ranking/{r['at']}/{r['method']}/{r['other']}": estimate(r, "more").percent() for r in rows
+        f"ranking/{r['at']}/{r['method']}/{r['other']}": estimate(r, "more").percent()
+        for r in frame.to_dict("records")
     }
 
 
@@ -73,11 +69,21 @@ def rejection(frame: pd.DataFrame) -> Figure:
         rows = frame[frame["method"] == f"df {kind}"].sort_values("coverage")
         look = {"label": rf"DF, by $R_\sigma$ ({kind})", "ls": line, **DF}
         points(axis, rows["coverage"], rows, "within_1m", elinewidth=0.5, **look)
-    covered = [1 - printed[f"fig6/{r:g}/lost"] for r in PRINTED_AT]
-    axis.plot(covered, [printed[f"fig5/{r:g}/within"] for r in PRINTED_AT], **PRINTED)
+    covered = [1 - printed[f"misfit/lost/{r:g}"] for r in PRINTED_AT]
+    axis.plot(covered, [printed[f"misfit/within/{r:g}"] for r in PRINTED_AT], **PRINTED)
     axis.set(xlabel="coverage: share of the packets with a fix", ylabel=LIMIT, xlim=(0, 1.02))
     axis.legend(loc="lower left")
     return figure
+
+
+def rejection_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """P(error <= 1 m) in percent of each method, by R_sigma or by coverage."""
+    found = {}
+    for r in frame.to_dict("records"):
+        fixed = r["r_sigma"] == r["r_sigma"]
+        at = f"R_sigma {r['r_sigma']:g}" if fixed else f"coverage {r['coverage']:.2f}"
+        found[f"rejection/{r['method']}/{at}"] = estimate(r, "within_1m").percent()
+    return found
 
 
 def _named_point(axis: Any, rows: pd.DataFrame, name: str) -> None:
@@ -94,8 +100,8 @@ def boxes(frame: pd.DataFrame) -> Figure:
     """
     figure, (left, right) = new(PAGE, 2.7, cols=2)
     for key, label, colour in (
-        ("other_set", "other anchors", "#0072B2"),
-        ("other_position", "other position", "#E69F00"),
+        ("other_set", "another set of anchors", "#0072B2"),
+        ("other_position", "another position", "#E69F00"),
     ):
         look = {"color": colour, "marker": "o", "ms": 3, "label": label}
         points(left, frame["r_sigma"], frame, key, scale=100, **look)

@@ -10,13 +10,13 @@ import pandas as pd
 from aoabench.maths.statistics import Estimate
 from aoabench.report.plots import GREY, PAGE, new
 
-from .common import ERROR, points, raster
+from .common import ERROR, estimate, points, raster
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-ANCHORS = {
+ANCHORS: dict[str, list[tuple[float, float]]] = {
     "one anchor": [(5, 5)],
     "two anchors": [(2.5, 5), (7.5, 5)],
     "three anchors": [(2.5, 2.5), (7.5, 2.5), (5, 7.5)],
@@ -45,22 +45,34 @@ def fig2(frame: pd.DataFrame) -> Figure:
 
 
 def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """The least GDOP of one anchor, the distance at which the GDOP is sqrt(3) times as large, and
-    for several anchors the additional share of the room below 6 m, in percent points.
+    """The least GDOP of one anchor, and the distance at which the GDOP is sqrt(3) times as large;
+    for each layout the share of the room below 6 m, in percent, and that minus one anchor's; for
+    three and four anchors the GDOP within their convex hull over that of one anchor, at the point
+    where this is largest, and over that outside, of means.
     """
-    one = frame.set_index("layout")
+    by = dict(iter(frame.groupby("layout", sort=False)))
     found = {
-        "fig2/minimum": Estimate(float(one.loc["minimum", "gdop_m"]), 0.0),
-        "fig2/root3": Estimate(float(one.loc["sqrt 3", "x_m"]), 0.0),
+        "fig2/minimum": float(by["minimum"]["gdop_m"].iloc[0]),
+        "fig2/sqrt 3": float(by["sqrt 3"]["x_m"].iloc[0]),
     }
-    share = {
-        name: float((frame.loc[frame["layout"] == name, "gdop_m"] < 6).mean()) for name in ANCHORS
-    }
-    for name in list(ANCHORS)[1:]:
-        found[f"fig2/{name.split()[0]}/more"] = Estimate(
-            100 * (share[name] - share["one anchor"]), 0.0
-        )
-    return found
+    one = by["one anchor"]["gdop_m"].to_numpy()
+    for name, places in ANCHORS.items():
+        g = by[name]["gdop_m"].to_numpy()
+        found[f"fig2/{name}/below"] = 100 * float((g < 6).mean())
+        if len(places) > 1:
+            found[f"fig2/{name}/more"] = 100 * float((g < 6).mean() - (one < 6).mean())
+        if len(places) > 2:
+            inside = _in_hull(by[name][["x_m", "y_m"]].to_numpy(), places)
+            found[f"fig2/{name}/hull over one anchor"] = float((g / one)[inside].max())
+            found[f"fig2/{name}/hull over outside"] = float(g[inside].mean() / g[~inside].mean())
+    return {key: Estimate(value, 0.0) for key, value in found.items()}
+
+
+def _in_hull(points: np.ndarray, places: list[tuple[float, float]]) -> np.ndarray:
+    """Whether each point (N, 2) lies within the convex hull of the places."""
+    from scipy.spatial import Delaunay
+
+    return np.asarray(Delaunay(np.array(places)).find_simplex(points) >= 0)
 
 
 def fig3a(frame: pd.DataFrame) -> Figure:
@@ -90,9 +102,8 @@ def _rectangle() -> Any:
 def fig3a_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """95th percentiles of the errors, with positions clipped to the room and without clipping."""
     rows = frame[frame["kind"].isin(["clipped", "unclipped"])].to_dict("records")
-    key = {"B": "b", "mean of A and B": "mean"}
     return {
-        f"fig3a/{r['kind']}/{key[r['who']]}": Estimate(float(r["q95_m"]), float(r["q95_se"]))
+        f"fig3a/{r['kind']}/{r['who']}": Estimate(float(r["q95_m"]), float(r["q95_se"]))
         for r in rows
     }
 
@@ -112,14 +123,11 @@ def fig3b(frame: pd.DataFrame) -> Figure:
 
 
 def fig3b_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Shares of the room, in percent, in which the single anchor C is better, and worse, by three
-    standard errors.
-    """
-    d = frame["pair_m"] - frame["single_m"]
-    se = np.hypot(frame["pair_se"], frame["single_se"])  # not paired: an upper limit
+    """RMSE of the mean of A and B minus that of C alone, in m, at each point."""
     return {
-        "fig3b/better": Estimate(100 * float((d > 3 * se).mean()), 0.0),
-        "fig3b/worse": Estimate(100 * float((d < -3 * se).mean()), 0.0),
+        f"fig3b/{r['x_m']:g},{r['y_m']:g}": Estimate(r["pair_m"], r["pair_se"])
+        - Estimate(r["single_m"], r["single_se"])
+        for r in frame.to_dict("records")
     }
 
 
@@ -145,34 +153,59 @@ def fig3c(frame: pd.DataFrame) -> Figure:
     return figure
 
 
+def fig3c_values(frame: pd.DataFrame) -> dict[str, Estimate]:
+    """P(error <= 1 m) in percent for each separation, and that minus C alone's."""
+    found = {}
+    for r in frame[np.isclose(frame["error_m"], 1.0)].to_dict("records"):
+        found[f"fig3c/{r['separation_m']:g}/within"] = estimate(r, "cdf").percent()
+        if r["separation_m"]:
+            found[f"fig3c/{r['separation_m']:g}/more"] = estimate(r, "more").percent()
+    return found
+
+
 def rule(frame: pd.DataFrame) -> Figure:
-    """RMSE of the mean of A and B over that of A alone, against the deviations' ratio [Boquet 2024,
-    (9)].
+    """RMSE of the mean of A's and B's estimates over that of A alone, against the deviations' ratio
+    [Boquet 2024, (9) and (40)], and the same of M_LS.
     """
-    figure, axis = new(0.5 * PAGE, 2.6)
-    axis.plot(
-        frame["gamma"], frame["closed"], color="black", lw=1, label=r"$\sqrt{1+\gamma^2}/2$ (40)"
-    )
-    look = {"color": "#0072B2", "fmt": "o", "ms": 3, "label": "samples"}
-    points(axis, frame["gamma"], frame, "ratio", **look)
+    from matplotlib import colormaps
+
+    figure, axis = new(0.6 * PAGE, 3.0)
+    for (kind, beta), rows in frame.groupby(["kind", "beta"], sort=False):
+        if kind == "ls":
+            look = {"color": "#D55E00", "fmt": "s", "ms": 3, "mfc": "none", "label": "M LS"}
+        else:
+            colour = colormaps["viridis"](beta / 4)
+            axis.plot(rows["gamma"], rows["closed"], color=colour, lw=1)
+            look = {"color": colour, "fmt": "o", "ms": 2, "label": rf"mean, $\beta$ = {beta:g}"}
+            axis.axvline(np.sqrt(beta + 2), color=colour, lw=0.8, ls=":")
+        points(axis, rows["gamma"], rows, "ratio", **look)
     axis.axhline(1, color=GREY, lw=0.8)
-    axis.axvline(np.sqrt(3), color=GREY, lw=0.8, ls=":")
     axis.set(
         xlabel=r"deviation of B over that of A, $\gamma$", ylabel="RMSE of the mean / RMSE of A"
     )
-    axis.legend()
+    axis.legend(title=r"lines: (40); dotted: $\sqrt{\beta + 2}$")
     return figure
 
 
 def rule_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """The ratio of deviations above which B increases the RMSE: the RMSE ratio crosses 1, by a line
-    through the two nearest points.
+    """The RMSE ratio for each kind, beta and gamma; of each mean, the gamma above which B increases
+    the RMSE (the ratio crosses 1, by a line through the two nearest points), and that over
+    sqrt(beta + 2).
     """
-    i = int(np.flatnonzero(frame["ratio"].to_numpy() < 1)[-1])
-    a, b = frame.iloc[i], frame.iloc[i + 1]
+    found = {}
+    for (kind, beta), rows in frame.groupby(["kind", "beta"], sort=False):
+        of = f"rule/{kind}/{beta:g}"
+        for r in rows.to_dict("records"):
+            found[f"{of}/{r['gamma']:g}"] = estimate(r, "ratio")
+        crossing = _crossing(rows)
+        found[f"{of}/threshold"] = crossing
+        found[f"{of}/over rule"] = crossing * (1 / np.sqrt(beta + 2))
+    return found
+
+
+def _crossing(rows: pd.DataFrame) -> Estimate:
+    """The gamma at which the RMSE ratio crosses 1."""
+    i = int(np.flatnonzero(rows["ratio"].to_numpy() < 1)[-1])
+    a, b = rows.iloc[i], rows.iloc[i + 1]
     slope = (b["ratio"] - a["ratio"]) / (b["gamma"] - a["gamma"])
-    return {
-        "rule/threshold": Estimate(
-            float(a["gamma"] + (1 - a["ratio"]) / slope), float(a["ratio_se"] / slope)
-        )
-    }
+    return Estimate(float(a["gamma"] + (1 - a["ratio"]) / slope), float(a["ratio_se"] / slope))

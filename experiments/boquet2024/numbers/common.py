@@ -56,24 +56,47 @@ def within(e: np.ndarray, limit_m: float = 1.0) -> Estimate:
     return statistics.ratio((e <= limit_m).sum(axis=1), np.isfinite(e).sum(axis=1))
 
 
+def difference(a: np.ndarray, b: np.ndarray, limit_m: float = 1.0) -> Estimate:
+    """P(error <= limit_m) of the errors a minus that of the errors b (R, T), paired over
+    campaigns.
+    """
+    hits, given = zip(*(((e <= limit_m).sum(axis=1), np.isfinite(e).sum(axis=1)) for e in (a, b)))
+    return statistics.ratio_difference(hits[0], given[0], hits[1], given[1])
+
+
 def rms(e: np.ndarray) -> float:
     """Root mean square of the given errors."""
     return float(np.sqrt(np.nanmean(e**2)))
 
 
+def tail(e: np.ndarray) -> float:
+    """The 99 % quantile of the given errors over their median."""
+    return float(np.divide(*np.nanquantile(e, [0.99, 0.5])))
+
+
+def rejected(f: Fixes) -> tuple[np.ndarray, np.ndarray]:
+    """Rejected fixes and all fixes with a measurement, both (R,)."""
+    tried = f.outcome != Outcome.FAILED
+    return (f.outcome == Outcome.REJECTED).sum(axis=1), tried.sum(axis=1)
+
+
 def lost(f: Fixes) -> Estimate:
     """R_d: the share of rejected fixes among the fixes with a measurement."""
-    tried = f.outcome != Outcome.FAILED
-    return statistics.ratio((f.outcome == Outcome.REJECTED).sum(axis=1), tried.sum(axis=1))
+    return statistics.ratio(*rejected(f))
 
 
-def discarded(f: Fixes, without_vote: Fixes) -> Estimate:
-    """The other reading of R_d: the share of measurements that no fix uses.
+def unused(f: Fixes, without_vote: Fixes) -> tuple[np.ndarray, np.ndarray]:
+    """Measurements that no fix uses and all measurements, both (R,).
 
     `without_vote` are the fixes that use every measurement.
     """
     measured = without_vote.anchors_used.sum(axis=1)
-    return statistics.ratio(measured - np.nan_to_num(f.anchors_used).sum(axis=1), measured)
+    return measured - np.nan_to_num(f.anchors_used).sum(axis=1), measured
+
+
+def discarded(f: Fixes, without_vote: Fixes) -> Estimate:
+    """The other reading of R_d: the share of measurements that no fix uses."""
+    return statistics.ratio(*unused(f, without_vote))
 
 
 def medians(e: np.ndarray, points: int) -> np.ndarray:

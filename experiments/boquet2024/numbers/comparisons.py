@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from aoabench.cell import Cell
+from aoabench.engine.tiles import Draws, estimate_tile, tile_of
 from aoabench.maths import statistics
-from aoabench.maths.statistics import Estimate
 from aoabench.store.fixes import Fixes
+from aoabench.types import Estimates, Outcome
 
 from .common import (
     METHODS,
     SCORED,
     Runs,
     columns,
+    difference,
     error,
     filters,
     lost,
@@ -26,14 +29,6 @@ from .common import (
 )
 
 MOVED_M = 1e-4  # positions further apart than this are different fixes
-
-
-def difference(a: np.ndarray, b: np.ndarray, limit_m: float = 1.0) -> Estimate:
-    """P(error <= limit_m) of the errors a minus that of the errors b (R, T), paired over
-    campaigns.
-    """
-    hits, given = zip(*(((e <= limit_m).sum(axis=1), np.isfinite(e).sum(axis=1)) for e in (a, b)))
-    return statistics.ratio_difference(hits[0], given[0], hits[1], given[1])
 
 
 def ranking(runs: Runs) -> pd.DataFrame:
@@ -106,18 +101,19 @@ def _covered(method: str, e: np.ndarray, r_sigma: float = np.nan) -> dict[str, A
 
 
 def boxes(runs: Runs) -> pd.DataFrame:
-    """Boxes against exact ellipses per R_sigma: shares of the packets in which outcome or number of
-    anchors, or the position, differ; P(error <= 1 m), R_d and RMSE of both.
+    """Boxes against exact ellipses per R_sigma: shares of the packets for which the sets of anchors
+    differ (none, where a fix is rejected), and the positions; P(error <= 1 m), R_d and RMSE of
+    both.
     """
-    _, fixes = only(runs)
+    cell, fixes = only(runs)
     exact = filters(fixes, "exact")
     rows = []
     for r, f in filters(fixes).items():
         if r not in exact:
             continue
+        names = [f"df_{kind}_{round(10 * r):02d}" for kind in ("boxes", "exact")]
+        other, moved = unlike(cell, names[0], names[1], len(f.outcome))
         g = exact[r]
-        other = (f.outcome != g.outcome) | (f.anchors_used != g.anchors_used)
-        moved = other | (np.abs(error(f) - error(g)) > MOVED_M)
         values = {
             "other_set": statistics.mean(other.mean(axis=1)),
             "other_position": statistics.mean(moved.mean(axis=1)),
@@ -131,6 +127,34 @@ def boxes(runs: Runs) -> pd.DataFrame:
         values["more"] = difference(error(g), error(f))
         rows.append({"r_sigma": r, **columns(**values)})
     return pd.DataFrame(rows)
+
+
+def unlike(cell: Cell, name: str, other: str, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Whether two discrepancy filters of a cell fuse different sets of anchors, and whether they
+    give different positions, both (count, T), in the first `count` replications.
+    """
+    draws = Draws(cell.scenario, cell.noise, cell.seed)
+    pair = [cell.estimators[n] for n in (name, other)]
+    found = []
+    for first in range(0, count, tile_of(pair[0], cell.scenario)):
+        a, b = (estimate_tile(draws, estimator, first)[1] for estimator in pair)
+        found.append(unlike_sets(a, b))
+    sets, positions = (np.concatenate(parts)[:count] for parts in zip(*found))
+    return sets, positions
+
+
+def unlike_sets(a: Estimates, b: Estimates) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the sets of anchors behind the fixes of two filters of equal deviations differ, and
+    whether the positions do, both (R, T).
+
+    The covariance (21) of a fix is that of its set: equal sets have equal ones, and no two sets of
+    different ellipses do.
+    """
+    same = np.isclose(a.covariance, b.covariance, rtol=1e-9, atol=1e-15, equal_nan=True)
+    rejected = [e.outcome == Outcome.REJECTED for e in (a, b)]
+    sets = ~same.all(axis=(-1, -2)) | (rejected[0] != rejected[1])
+    away = np.linalg.norm((a.position - b.position)[..., :2], axis=-1)
+    return sets, (rejected[0] != rejected[1]) | (away > MOVED_M)
 
 
 def errata(runs: Runs) -> pd.DataFrame:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,16 +17,30 @@ from aoabench.maths.statistics import Estimate
 from aoabench.roles import Noise, Scenario
 from aoabench.store.fixes import Fixes
 
-from .common import Runs, error, filters, lost, medians, only, printed_grids, within
+from .common import Runs, error, filters, lost, medians, only, printed_grids, rms, tail, within
 
+ANGLES = ("azimuth", "elevation")
 PRINTED = resources.printed("boquet2024")
 DAYS = {  # deg, both days
     key: tuple(PRINTED[f"misfit/days/{key}/{day}"] for day in (1, 2))
     for key in ("azimuth_mean", "azimuth_sd", "elevation_mean", "elevation_sd")
 }
 SWEEP = {  # R_sigma: P(error <= 1 m), R_d
-    r: (PRINTED[f"fig5/{r:g}/within"], PRINTED[f"fig6/{r:g}/lost"]) for r in (0.4, 2.0)
+    r: (PRINTED[f"misfit/within/{r:g}"], PRINTED[f"misfit/lost/{r:g}"]) for r in (0.4, 2.0)
 }
+
+
+def angle_errors(
+    scenario: Scenario, noise: Noise, seed: int, first: int, count: int
+) -> Iterator[np.ndarray]:
+    """Errors (2, T, B) deg of azimuth and elevation of each campaign; NaN: not measured."""
+    draws = Draws(scenario, noise, seed)
+    a = scenario.true_anchors
+    for r in range(first, first + count):
+        truth, batch = draws.tile(r, 1)
+        true = to_azel(*in_frames(truth[..., :3], a.position, a.rotation))
+        measured = (batch.azimuth, batch.elevation)
+        yield np.rad2deg([wrap(m[0] - t[0]) for m, t in zip(measured, true)])
 
 
 def day_statistics(
@@ -37,17 +51,15 @@ def day_statistics(
 
     The paper prints "average errors" over ten places without naming them.
     """
+    return by_day([e[..., 0] for e in angle_errors(scenario, noise, seed, first, count)], scenario)
+
+
+def by_day(errors: Sequence[np.ndarray], scenario: Scenario) -> dict[str, np.ndarray]:
+    """The numbers of `day_statistics` from an anchor's angle errors, (2, T) deg each campaign."""
     found: dict[str, list[list[float]]] = {key: [] for key in DAYS}
-    draws = Draws(scenario, noise, seed)
-    a = scenario.true_anchors
-    for r in range(first, first + count):
-        truth, batch = draws.tile(r, 1)
-        days = scenario.day_of(truth.shape[1])
-        true = to_azel(*in_frames(truth[..., :3], a.position, a.rotation))
-        for key, measured, straight in zip(
-            ("azimuth", "elevation"), (batch.azimuth, batch.elevation), true
-        ):
-            e = np.rad2deg(wrap(measured[0, :, 0] - straight[0, :, 0]))
+    for both in errors:
+        days = scenario.day_of(both.shape[1])
+        for key, e in zip(ANGLES, both):
             found[f"{key}_mean"].append([abs(np.nanmean(e[days == d])) for d in (0, 1)])
             found[f"{key}_sd"].append([np.nanstd(e[days == d]) for d in (0, 1)])
     return {key: np.array(value) for key, value in found.items()}
@@ -110,8 +122,33 @@ def _misfit(
 
 
 def misfit(runs: Runs) -> pd.DataFrame:
-    """The rows of `misfits` for campaigns that the fit does not use."""
+    """The rows of `misfits` for campaigns that the fit has not seen, and rows of the anchors' angle
+    errors, to which nothing is fitted.
+    """
     cell, fixes = only(runs)
     count = len(fixes["vmf_ml"].outcome)
-    days = day_statistics(cell.scenario, cell.noise, cell.seed, 0, count)
-    return pd.DataFrame(list(misfits(fixes, days, len(cell.scenario.points_m))))
+    errors = list(angle_errors(cell.scenario, cell.noise, cell.seed, 0, count))
+    days = by_day([e[..., 0] for e in errors], cell.scenario)
+    rows = misfits(fixes, days, len(cell.scenario.points_m))
+    return pd.DataFrame([*rows, *_anchor_rows(np.array(errors))])
+
+
+def _anchor_rows(errors: np.ndarray) -> Iterator[dict[str, Any]]:
+    """Rows of the angle errors (R, 2, T, B) deg: each anchor's RMS, its RMS minus that of the first
+    anchor, and the ratio of the quantiles 99 and 50 % of the magnitude.
+    """
+    for i, angle in enumerate(ANGLES):
+        e = errors[:, i]
+        for b in range(e.shape[-1]):
+            of = f"{angle} error of anchor {b + 1}"
+            numbers: dict[str, tuple[str, Callable[[np.ndarray], float]]] = {
+                "rms": (f"RMS {of} [deg]", lambda e, b=b: rms(e[..., b])),
+                "tail": (f"99 over 50 % of the {of}", lambda e, b=b: tail(np.abs(e[..., b]))),
+            }
+            if b:
+                more = f"RMS {of} minus that of anchor 1 [deg]"
+                numbers["more"] = more, lambda e, b=b: rms(e[..., b]) - rms(e[..., 0])
+            for key, (what, number) in numbers.items():
+                ours = statistics.jackknife(e, number)
+                where = f"angles/{angle}/{b + 1}/{key}"
+                yield {"what": what, "id": where, "ours": ours.value, "se": ours.se}

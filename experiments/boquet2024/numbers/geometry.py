@@ -10,14 +10,17 @@ from scipy import optimize
 
 from aoabench import bounds
 from aoabench.config.compose import compose_cells
+from aoabench.estimators.lines import nearest_point
 from aoabench.estimators.plane import on_plane
+from aoabench.estimators.rays import rays
 from aoabench.maths import statistics
 from aoabench.maths.geometry import in_frames, to_azel, to_unit, wrap
-from aoabench.types import Anchors
+from aoabench.types import Anchors, Batch
 
 from .common import ERRORS, columns
 
 ROOM = 10.0  # m, the sides of the standard room
+GAMMAS = np.round(np.arange(1.0, 2.51, 0.05), 2)  # ratios of B's deviation to A's
 LAYOUTS = {
     f"{number} anchor{'s' * (i > 0)}": f"_{i + 1}"
     for i, number in enumerate(("one", "two", "three", "four"))
@@ -130,41 +133,77 @@ def fig3b(scale: str) -> pd.DataFrame:
 
 def fig3c(scale: str) -> pd.DataFrame:
     """CDF of the mean of A and B over the room for separations of 1 to 9 m, and of C alone
-    (separation 0).
+    (separation 0); `more` is the CDF minus that of C alone. Standard errors are over the draws,
+    which all points share.
     """
     n, step = (100, 1.0) if scale == "quick" else (2_000, 0.25)
     side, errors = np.arange(step / 2, ROOM, step), normal_errors(n, 2)
-    rows = []
+    room = [np.array([x, y, 0.0]) for x in side for y in side]
+    alone, rows = None, []
     for apart in range(10):
-        pair = np.array([[5 - apart / 2, 5.0, 3.0], [5 + apart / 2, 5.0, 3.0]])
-        count, total = np.zeros(len(ERRORS)), 0
-        for x in side:
-            for y in side:
-                xy = single_positions(np.array([x, y, 0.0]), pair, errors, clip=True)
-                mean = xy[:, 0] if apart == 0 else xy.mean(axis=1)
-                e = np.sort(np.hypot(*(mean - [x, y]).T))
-                count, total = count + np.searchsorted(e, ERRORS, side="right"), total + n
-        rows += [
-            {"separation_m": apart, "error_m": a, "cdf": c / total} for a, c in zip(ERRORS, count)
-        ]
+        share = _shares(room, apart, errors)
+        alone = share if alone is None else alone
+        for limit, own, more in zip(ERRORS, share.T, (share - alone).T):
+            found = columns(cdf=statistics.mean(own), more=statistics.mean(more))
+            rows.append({"separation_m": apart, "error_m": limit, "samples": n, **found})
     return pd.DataFrame(rows)
+
+
+def _shares(room: list[np.ndarray], apart: float, errors: np.ndarray) -> np.ndarray:
+    """Share of the points with an error up to each of ERRORS, for each draw of the angle errors
+    (2, N, 2): (N, len(ERRORS)). The estimate is the mean from two anchors that lie `apart` m from
+    one another, for 0 that of the one at C.
+    """
+    pair = np.array([[5 - apart / 2, 5.0, 3.0], [5 + apart / 2, 5.0, 3.0]])
+    count = np.zeros((errors.shape[1], len(ERRORS)))
+    for node in room:
+        xy = single_positions(node, pair, errors, clip=True)
+        found = xy[:, 0] if apart == 0 else xy.mean(axis=1)
+        count += np.hypot(*(found - node[:2]).T)[:, None] <= ERRORS
+    return count / len(room)
 
 
 def rule(scale: str) -> pd.DataFrame:
-    """(9), (40): RMSE of the mean of one estimate from A and beta from B over that of A alone,
-    against the deviations' ratio; by samples and in closed form."""
+    """RMSE of an estimate from the anchors A and B over that from A alone, against the ratio gamma
+    of their deviations.
+
+    `kind` mean: the mean of estimates from A and beta times as many from B (9), by samples and in
+    closed form (40); ls: M_LS with a ray from each of two anchors at equal distances.
+    """
     n = 20_000 if scale == "quick" else 1_000_000
     rng = np.random.default_rng(9)
-    a, b = rng.standard_normal((2, n, 2))
     rows = []
-    for gamma in np.round(np.arange(1.0, 2.51, 0.05), 2):
-        mean = (a + gamma * b) / 2
-        rows.append(
-            {
-                "gamma": gamma,
-                "samples": n,
-                **columns(ratio=statistics.ratio((mean**2).sum(-1), (a**2).sum(-1)).root()),
-                "closed": np.sqrt(1 + gamma**2) / 2,
-            }
-        )
-    return pd.DataFrame(rows)
+    for of_a, of_b in ((2, 1), (1, 1), (1, 2), (1, 3)):
+        a = rng.standard_normal((n, of_a, 2)).mean(axis=1)
+        b = rng.standard_normal((n, of_b, 2)).mean(axis=1)
+        beta = of_b / of_a
+        for gamma in GAMMAS:
+            both = (of_a * a + of_b * gamma * b) / (of_a + of_b)
+            closed = np.sqrt(1 + beta * gamma**2) / (1 + beta)
+            rows.append(_ratio("mean", beta, gamma, both, a) | {"closed": closed})
+    return pd.DataFrame(rows + _nearest_to_both(rng, n // 10))
+
+
+def _nearest_to_both(rng: np.random.Generator, n: int) -> list[dict[str, Any]]:
+    """Rows `ls` of `rule`: a node in the middle between A and B, angle deviations of 1 deg at A."""
+    node, places = np.array([5.0, 5.0, 0.0]), standard_room().position[0, 0, :2]
+    anchors = upright(places)
+    true = to_azel(*in_frames(node[None, None], anchors.position, anchors.rotation))
+    normal = np.deg2rad(1.0) * rng.standard_normal((2, n, 2))
+    alone = single_positions(node, places, normal, clip=False)[:, 0] - node[:2]
+    rows = []
+    for gamma in GAMMAS:
+        angles = [t[0] + e * [1.0, gamma] for t, e in zip(true, normal)]
+        batch = Batch(angles[0][None], angles[1][None], anchors)
+        both = nearest_point(rays(batch), batch.anchors.position).position[0, :, :2] - node[:2]
+        rows.append(_ratio("ls", 1.0, gamma, both, alone) | {"closed": np.nan})
+    return rows
+
+
+def _ratio(
+    kind: str, beta: float, gamma: float, both: np.ndarray, alone: np.ndarray
+) -> dict[str, Any]:
+    """A row of `rule` from errors (N, 2)."""
+    ratio = statistics.ratio((both**2).sum(-1), (alone**2).sum(-1)).root()
+    row = {"kind": kind, "beta": beta, "gamma": gamma, "samples": len(both)}
+    return row | columns(ratio=ratio)

@@ -3,6 +3,7 @@ frame.
 """
 
 from .common import METHODS
-from .cost import table2
+from .cost import operations, table2
+from .readings import readings
 from .setting import fig2, fig3, table1
 from .trials import errata, fig4, nees

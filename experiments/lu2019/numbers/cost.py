@@ -1,4 +1,6 @@
-"""Table II: multiplications of one step, printed, in dense matrices and ours, and its time."""
+"""Table II: multiplications of one step, printed, in dense matrices and ours, their growth, and
+the time of a step.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +28,13 @@ def textbook_count(m: int, n: int) -> int:
     K = (P H^T) S^-1; K v; K (H P).
     """
     return n**2 + 2 * n**3 + n**2 * m + n * m**2 + m**3 + n * m**2 + n * m + n**2 * m
+
+
+def textbook_centroid_count(M: int) -> int:
+    """Multiplications of (12), (14) as they are written: c tau cos(phi) cos(theta), c tau cos(phi)
+    sin(theta) and c tau sin(phi) need 3, 3 and 2, and the product of a position and its weight 3.
+    """
+    return 11 * M
 
 
 def our_count(method: str, M: int) -> int:
@@ -64,3 +73,21 @@ def table2(scale: str) -> pd.DataFrame:
             }
         )  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def operations(scale: str) -> pd.DataFrame:
+    """Operations of one step over the number M of access nodes at n = 9 states and over n at M = 4,
+    by form: the printed formula, the textbook's dense matrices, and ours, whose n is fixed.
+    """
+    few, many = 4, 9
+    sizes = [(2**k, many) for k in range(11)] + [(few, many * 2**k) for k in range(1, 9)]
+    rows = []
+    for name in METHODS:
+        for M, n in sizes:
+            measured = {"ekf_toa_aoa": 3 * M, "ekf_aoa": 2 * M, "wcg": 0}[name]
+            dense = textbook_count(measured, n) if measured else textbook_centroid_count(M)
+            rows.append((name, "printed_formula", M, n, printed_count(name, M, n)))
+            rows.append((name, "textbook", M, n, dense))
+            if n == many:
+                rows.append((name, "ours", M, n, our_count(name, M)))
+    return pd.DataFrame(rows, columns=["estimator", "form", "M", "n", "operations"])

@@ -1,4 +1,4 @@
-"""Lu et al. 2019: figures and printed values, each a function of an item's table alone."""
+"""Lu et al. 2019: figures, each a function of an item's table alone."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.statistics import Estimate
 from aoabench.report.plots import GREY, PAGE, log_bars, new
+
+from .values import consistent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,11 +22,6 @@ STYLES = {
 }
 KINDS = {"independent": "independent errors", "common": "one error common to all"}
 SIGMA = "deviation of the known access nodes [m]"
-
-
-def table1_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """The preset's values."""
-    return {f"table1/{r['quantity']}": Estimate(r["value"], 0.0) for r in frame.to_dict("records")}
 
 
 def fig2(frame: pd.DataFrame) -> Figure:
@@ -52,25 +48,6 @@ def fig2(frame: pd.DataFrame) -> Figure:
     return figure
 
 
-def fig2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Properties of our map for which the paper prints numbers of its map."""
-    walls, an = frame[frame["kind"] == "wall"], frame[frame["kind"] == "access node"]
-    route = frame[frame["kind"] == "route"]
-    x, y = (np.concatenate([walls[f"{c}_m"], walls[f"{c}1_m"]]) for c in "xy")
-    step = np.linalg.norm(np.diff(route[["x_m", "y_m"]], axis=0), axis=1) / frame["step_s"].iloc[0]
-    found = {
-        "length_m": float(np.ptp(x)),
-        "width_m": float(np.ptp(y)),
-        "an_height_m": float(an["z_m"].mean()),
-        "speed_m_s": float(np.median(step)),
-        "z_start_m": float(route["z_m"].iloc[0]),
-        "z_end_m": float(route["z_m"].iloc[-1]),
-        "least_line_of_sight": float(route["line_of_sight"].min()),
-        "per_25_m2": 25 * len(an) / float(frame["area_m2"].iloc[0]),
-    }
-    return {f"fig2/{name}": Estimate(value, 0.0) for name, value in found.items()}
-
-
 def fig3(frame: pd.DataFrame) -> Figure:
     """Distribution functions of the measurements' errors [Lu 2019, Fig. 3]."""
     figure, (left, right) = new(PAGE, 2.6, cols=2, sharey=True)
@@ -91,14 +68,6 @@ def fig3(frame: pd.DataFrame) -> Figure:
     right.set(xlabel="error of the angle of arrival [deg]")
     right.legend(loc="lower right")
     return figure
-
-
-def fig3_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Shares of the errors within the printed limits, and the ratio of the times' deviation to that
-    of their thermal part.
-    """
-    rows = frame[frame["kind"] != "cdf"].set_index("name")
-    return {f"fig3/{name}": Estimate(r["value"], r["se"]) for name, r in rows.iterrows()}
 
 
 # --- Figure 4 -------------------------------------------------------------------------------------
@@ -170,36 +139,7 @@ def _diverged(axis: Any, rows: pd.DataFrame, name: str) -> None:
     axis.errorbar(rows["an_sigma_m"], share, yerr=[np.minimum(bar, share), bar], **look)
 
 
-def fig4_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """RMSEs, paired excess of the filters over the centroid, rates of divergence and crossings."""
-    found = {}
-    for r in frame.dropna(subset=["an_sigma_m"]).to_dict("records"):
-        key = f"fig4/{r['an_error']}/{r['an_sigma_m']:g}/{r['estimator']}"
-        for part in ("3d", "z"):
-            found[f"{key}/rmse_{part}"] = Estimate(r[f"rmse_{part}"], r[f"rmse_{part}_se"])
-            found[f"{key}/kept_{part}"] = Estimate(r[f"kept_{part}"], r[f"kept_{part}_se"])
-        found[f"{key}/diverged"] = Estimate(r["diverged"], r["diverged_se"]).percent()
-        if r["estimator"] != "wcg":
-            found[f"{key}/above_wcg"] = Estimate(r["above_wcg"], r["above_wcg_se"])
-    for r in frame[frame["an_sigma_m"].isna()].to_dict("records"):
-        low, high = r["crossing_low_m"], r["crossing_high_m"]
-        certain = 0.0 if np.isinf(low) else np.nan  # the whole interval lies beyond the range
-        se = 0.5 * (high - low) / 1.96 if np.isfinite(high) else certain
-        found[f"fig4/{r['an_error']}/crossing/{r['estimator']}"] = Estimate(r["crossing_m"], se)
-    return found
-
-
 # --- Table II, errata, consistency ----------------------------------------------------------------
-
-
-def table2_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Counts (exact) and times (measured once, no error stated)."""
-    found = {}
-    for r in frame.to_dict("records"):
-        for name in ("printed_formula", "textbook", "ours"):
-            found[f"table2/{r['estimator']}/{name}"] = Estimate(r[name], 0.0)
-        found[f"table2/{r['estimator']}/time"] = Estimate(r["microseconds_per_step"], 0.0)
-    return found
 
 
 VARIANTS = {
@@ -231,16 +171,6 @@ def errata(frame: pd.DataFrame) -> Figure:
     return figure
 
 
-def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Median RMSE of the trials, and the share that diverges in percent."""
-    found = {}
-    for r in frame.to_dict("records"):
-        key = f"errata/{r['variant']}/{r['an_sigma_m']:g}/{r['estimator']}"
-        found[f"{key}/median"] = Estimate(r["median_m"], r["median_se"])
-        found[f"{key}/diverged"] = Estimate(r["diverged"], r["diverged_se"]).percent()
-    return found
-
-
 def nees(frame: pd.DataFrame) -> Figure:
     """Mean NEES at each time, with the band of a consistent filter."""
     sigmas = sorted(frame["an_sigma_m"].unique())
@@ -254,29 +184,13 @@ def nees(frame: pd.DataFrame) -> Figure:
                 style = {"color": STYLES[name]["color"], "ls": STYLES[name]["ls"], "lw": 0.9}
                 axis.plot(rows["time_s"], rows["nees"], label=NAMES[name], **style)
             axis.axhspan(
-                *_band(int(part["trials"].iloc[0])), color=GREY, alpha=0.35, label="95 % band", lw=0
+                *consistent(int(part["trials"].iloc[0])),
+                color=GREY,
+                alpha=0.35,
+                label="95 % band",
+                lw=0,
             )
             axis.set(yscale="log", title=f"{title}, {sigma:g} m", xlabel="time [s]")
         line[0].set_ylabel("mean NEES (3 dof)")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
-
-
-def _band(trials: int) -> tuple[float, float]:
-    from scipy.stats import chi2
-
-    low, high = chi2.ppf([0.025, 0.975], 3 * trials) / trials
-    return float(low), float(high)
-
-
-def nees_values(frame: pd.DataFrame, transient_s: float = 10.0) -> dict[str, Estimate]:
-    """Share in percent of the times after the transient at which the mean NEES lies in its 95 %
-    band.
-    """
-    found = {}
-    for (scenario, sigma, name), rows in frame.groupby(["scenario", "an_sigma_m", "estimator"]):
-        low, high = _band(int(rows["trials"].iloc[0]))
-        late = rows[rows["time_s"] > transient_s]["nees"]
-        share = 100 * float(((late >= low) & (late <= high)).mean())
-        found[f"nees/{scenario}/{sigma:g}/{name}"] = Estimate(share, 0.0)
-    return found
