@@ -88,3 +88,17 @@ def test_the_composed_config_shows_every_field():
     assert node["filter"]["pf_vmf"]["particles"] == 10_000
     assert node["scenario"]["motion"]["q_z"] == 0.1
     assert cell().config["scenario"]["side_m"] == 5.0
+
+
+@pytest.mark.parametrize("values", [
+    (0, False, None, "", 0.5), (1, True, "1"), (float("nan"), float("inf"), -float("inf")),
+])  # fmt: skip
+def test_a_default_is_left_out_and_nothing_else(values):
+    """Equal by digest, where 1 equals 1.0 but not True, and NaN equals NaN."""
+    for default in values:
+        cls = make_dataclass("Noise", [("sigma", object, default)], frozen=True)
+        found = [value for value in values if not described(cls(value))[1]]
+        assert repr(found) == repr([default])
+    whole = make_dataclass("Noise", [("sigma", object, 1)], frozen=True)
+    assert described(whole(1.0))[1] == {}
+    assert described(whole(-1.0))[1] == {"sigma": -1.0}

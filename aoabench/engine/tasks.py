@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
 from aoabench.cell import Cell
 from aoabench.engine.block import run_block
+from aoabench.engine.memory import keep_freed_memory
 from aoabench.store.files import provenance
 from aoabench.store.keys import Origin
 from aoabench.store.lock import check_held
 from aoabench.store.machine import machine
 from aoabench.store.parts import has_part, write_part
+
+_checked: ContextVar[Origin | None] = ContextVar("checked", default=None)  # after the last task
 
 
 @dataclass(frozen=True)
@@ -65,16 +69,20 @@ def compute(task: Task, out: Path) -> dict[str, Loss]:
 
     A part that another process finished since the task was planned (a worker that outlived its
     killed parent) is not computed again. Raises RunError if this process has other code or data
-    than the run that planned the task, before or after the computation.
+    than the run that planned the task: before the first task of this code, and after each task,
+    before anything is written.
     """
     cell = task.cell
-    task.origin.check()
+    keep_freed_memory()
+    if _checked.get() != task.origin:
+        task.origin.check()
     check_held(out)
     kind, span = kind_of(cell), (task.start, task.stop)
     missing = [name for name, key in task.keys.items() if not has_part(out, key, *span, kind)]
     estimators = {name: cell.estimators[name] for name in missing}
     blocks = run_block(cell.scenario, cell.noise, estimators, cell.seed, *span, cell.runner.steps)
     task.origin.check()
+    _checked.set(task.origin)
     losses = {}
     check_held(out)  # no folder is made in the place of one that was moved meanwhile
     for name, block in blocks.items():

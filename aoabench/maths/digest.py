@@ -45,10 +45,17 @@ def described(value: Any) -> Any:
         return uuid.uuid4().hex
     found = {}
     for f in fields(value):
-        own = described(getattr(value, f.name))
-        if f.init and (no_default(f) or digest(own) != digest(described(default_of(f)))):
-            found[f.name] = own
+        own = getattr(value, f.name)
+        if f.init and (no_default(f) or not _equal(own, default_of(f))):
+            found[f.name] = described(own)
     return [public_name(type(value)), found]
+
+
+def _equal(one: Any, other: Any) -> bool:
+    """Whether two values have the same digest."""
+    if type(one) is type(other) and isinstance(one, bool | int | float | str | None):
+        return bool(one == other or (one != one and other != other))
+    return digest(described(one)) == digest(described(other))
 
 
 def public_name(cls: type) -> str:

@@ -15,11 +15,13 @@ FORMAT = 2  # of the files written here; files of format 1 have neither a format
 
 
 def write_document(path: Path, content: Mapping[str, Any]) -> None:
-    """Write an object with its `format` and its `checksum`, atomically; values that JSON does not
-    know become text.
+    """Write an object with its `format` and its `checksum`, atomically, one line for each of its
+    names; values that JSON does not know become text.
     """
     plain = json.loads(json.dumps({"format": FORMAT, **content}, default=str))
-    text = json.dumps(plain | {"checksum": _checksum(plain)}, indent=1)
+    signed = plain | {"checksum": _checksum(plain)}
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in signed.items()]
+    text = "{\n" + ",\n".join(lines) + "\n}"
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 

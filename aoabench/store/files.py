@@ -27,11 +27,21 @@ from aoabench.resources import version
 _SCHEMA = b"aoabench_schema"
 STALE_S = 3600.0  # age of a file that no process is writing any more
 _LARGE = 2**20  # bytes of a table that threads read faster
+_SMALL = 2**14  # bytes of a table that compression does not make smaller, as its pages are tiny
 WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
 
 
 def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = None) -> pa.Schema:
     """The fixed Arrow schema of a table, with its version and provenance as metadata."""
+    meta = {_SCHEMA: str(SCHEMA).encode()}
+    if provenance:
+        meta[b"aoabench"] = json.dumps(provenance, default=str).encode()
+    return _types(tuple(columns.items())).with_metadata(meta)
+
+
+@functools.lru_cache(64)
+def _types(columns: tuple[tuple[str, str], ...]) -> pa.Schema:
+    """The Arrow schema of names and kinds."""
     import pyarrow as pa
 
     types = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "bool": pa.bool_()}
@@ -40,10 +50,7 @@ def schema(columns: Mapping[str, str], provenance: Mapping[str, Any] | None = No
         "bytes": pa.list_(pa.int8()),
         "ints": pa.list_(pa.int32()),
     }
-    meta = {_SCHEMA: str(SCHEMA).encode()}
-    if provenance:
-        meta[b"aoabench"] = json.dumps(provenance, default=str).encode()
-    return pa.schema([(name, types[kind]) for name, kind in columns.items()], metadata=meta)
+    return pa.schema([(name, types[kind]) for name, kind in columns])
 
 
 def provenance(config: Any = None) -> dict[str, Any]:
@@ -122,7 +129,6 @@ def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> s
     checksum of its content.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     def column(field: pa.Field) -> pa.Array:
         values = columns[field.name]
@@ -133,16 +139,20 @@ def write_table(path: Path, columns: Mapping[str, Any], schema_: pa.Schema) -> s
             )
         return pa.array(values, type=field.type, from_pandas=field.name in IDENTITY)
 
-    table = pa.table([column(field) for field in schema_], schema=schema_)
-    checksum = ""
+    return save(path, pa.table([column(field) for field in schema_], schema=schema_))
 
-    def write(temporary: Path) -> None:
-        nonlocal checksum
-        pq.write_table(table, temporary, **WRITING)
-        checksum = file_checksum(temporary)
 
-    write_atomically(path, write)
-    return checksum
+def save(path: Path, table: pa.Table) -> str:
+    """Write a table to a Parquet file, atomically; return the checksum of its content."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    how = WRITING | ({"compression": "none"} if table.nbytes < _SMALL else {})
+    buffer = pa.BufferOutputStream()
+    pq.write_table(table, buffer, **how)
+    data = buffer.getvalue()
+    write_atomically(path, lambda temporary: temporary.write_bytes(data))
+    return checksum_of(data)
 
 
 def write_frame(
@@ -157,7 +167,6 @@ def write_frame(
     the schema; None for a table that belongs to no run.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     table = pa.Table.from_pandas(frame, preserve_index=False)
     meta = {
@@ -168,8 +177,7 @@ def write_frame(
         meta[_SCHEMA] = str(SCHEMA).encode()
         fixed = {field.name: field for field in schema(columns)}
         table = table.cast(pa.schema([fixed.get(field.name, field) for field in table.schema]))
-    table = table.replace_schema_metadata(meta)
-    write_atomically(path, lambda temporary: pq.write_table(table, temporary, **WRITING))
+    save(path, table.replace_schema_metadata(meta))
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
@@ -256,7 +264,7 @@ def rows_of(data: bytes) -> int:
     return int(pq.read_metadata(pa.BufferReader(data)).num_rows)
 
 
-def checksum_of(data: bytes) -> str:
+def checksum_of(data: bytes | pa.Buffer) -> str:
     return hashlib.blake2b(data, digest_size=16).hexdigest()
 
 

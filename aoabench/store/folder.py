@@ -67,7 +67,7 @@ def record_cell(
         "estimators": entries,
         "plugins": list(cell.plugins),
     }
-    if entries and not _same(record, stored):
+    if entries and not (stored and _same(record, stored)):
         write_record(out, {**record, "provenance": provenance()})
 
 
@@ -226,7 +226,7 @@ def noted_parts(
     Columns that parts of an earlier schema lack are null. Raises RunError if replications are
     missing, and UserError for parts of an unknown schema.
     """
-    import pyarrow.compute as pc
+    import pyarrow as pa
 
     inner = schema({n: type_ for n, type_ in KINDS[kind].items() if n not in IDENTITY})
     position = 0
@@ -236,10 +236,10 @@ def noted_parts(
         if found.start > position:
             break
         part = read_table(found.files[kind], inner, columns)
-        number = part["replication"]
-        keep = pc.and_(pc.greater_equal(number, position), pc.less(number, entry["reps"]))
+        number = part["replication"].to_numpy()
+        keep = (number >= position) & (number < entry["reps"])
         position = found.stop
-        yield part.filter(keep)
+        yield part if keep.all() else part.filter(pa.array(keep))
     if position < entry["reps"]:
         gap = f"replications from {position} on of part {entry['key']} are missing"
         raise RunError(f"{out}: {gap}; run the same command again")

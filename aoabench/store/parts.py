@@ -15,6 +15,7 @@ parts.
 
 from __future__ import annotations
 
+import os
 import re
 import uuid
 from collections.abc import Mapping, Sequence
@@ -118,7 +119,12 @@ def _verified_format_1(checksums: Path, named: Mapping[str, Any]) -> Part | None
 
 def checksum_files(out: Path, key: str) -> list[Path]:
     """The checksum files of all parts, in order."""
-    return sorted((out / "parts" / key).glob("*.json"))
+    folder = out / "parts" / key
+    try:
+        names = os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        return []
+    return [folder / name for name in sorted(names) if name.endswith(".json")]
 
 
 def intact_parts(out: Path, key: str, kind: str = "rows") -> list[Part]:

@@ -14,7 +14,7 @@ import numpy as np
 from aoabench.columns import FAILURES, IDENTITY, KINDS
 from aoabench.errors import RunError
 from aoabench.store import folder
-from aoabench.store.files import WRITING, provenance, schema, write_atomically
+from aoabench.store.files import WRITING, provenance, save, schema, write_atomically
 from aoabench.store.fixes import clusters_of
 from aoabench.store.folder import noted_parts, replay_command
 from aoabench.store.parts import Part, intact_parts
@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
+COLUMNS = (*IDENTITY[:4], "estimators", "plugins", "config")  # of the index, those needed here
+
 
 class CellRows:
-    """The rows of one cell (a row of the index, decoded).
+    """The rows of one cell (the COLUMNS of its row of the index).
 
     replications: an Arrow table of all estimators (columns.REPLICATIONS), in order; summary: a row
     for each of them, without the cell's parameters; failures: rows of the failures table.
@@ -40,7 +42,9 @@ class CellRows:
         self.entries = json.loads(row["estimators"])
         self.parts = {n: intact_parts(out, entry["key"]) for n, entry in self.entries.items()}
         origin = {**provenance(), "config": json.loads(row["config"])}
-        self._schemas = {kind: schema(KINDS[kind], origin) for kind in ("rows", "steps")}
+        self._stepped = any(entry["steps"] for entry in self.entries.values())
+        kinds = ("rows", "steps") if self._stepped else ("rows",)
+        self._schemas = {kind: schema(KINDS[kind], origin) for kind in kinds}
         self.summary: list[dict[str, Any]] = []
         self.failures: list[dict[str, Any]] = []
         tables = []
@@ -58,14 +62,15 @@ class CellRows:
         """A part's table with the columns of the cell and the estimator."""
         import pyarrow as pa
 
+        full = self._schemas[kind]
         same = {**{k: self.row[k] for k in IDENTITY[:4]}, "estimator": name}
-        full = [
+        columns = [
             pa.repeat(pa.scalar(same[f.name], f.type), len(part))
             if f.name in same
             else part[f.name]
-            for f in self._schemas[kind]
+            for f in full
         ]
-        return pa.table(full, schema=self._schemas[kind])
+        return pa.table(columns, schema=full)
 
     def _check_numbers(self, name: str, numbers: np.ndarray) -> None:
         """Raise RunError unless the replications are 0 ... reps-1."""
@@ -80,14 +85,10 @@ class CellRows:
         """Write replications.parquet/<cell>.parquet, and steps.parquet/<cell>.parquet if the record
         has steps.
         """
-        import pyarrow.parquet as pq
-
-        cell, path = self.row["cell"], self.out / "replications.parquet"
-        write_atomically(
-            path / f"{cell}.parquet", lambda t: pq.write_table(self.replications, t, **WRITING)
-        )
-        steps = self.out / "steps.parquet" / f"{cell}.parquet"
-        if any(entry["steps"] for entry in self.entries.values()):
+        name = f"{self.row['cell']}.parquet"
+        save(self.out / "replications.parquet" / name, self.replications)
+        steps = self.out / "steps.parquet" / name
+        if self._stepped:
             write_atomically(steps, self._write_steps)
         else:
             steps.unlink(missing_ok=True)

@@ -26,8 +26,8 @@ from aoabench.errors import RunError, UserError
 from aoabench.store import earlier, manifest, tidy
 from aoabench.store import index as index_module
 from aoabench.store.files import (
-    WRITING,
     provenance,
+    save,
     schema,
     version_in,
     write_atomically,
@@ -35,7 +35,7 @@ from aoabench.store.files import (
 )
 from aoabench.store.folder import read_record, replay_command, write_record
 from aoabench.store.index import Index
-from aoabench.store.rows import CellRows
+from aoabench.store.rows import COLUMNS, CellRows
 from aoabench.store.swept import natural, one_kind, swept_parameters
 
 if TYPE_CHECKING:
@@ -125,6 +125,7 @@ class _Collect:
         order = sorted(range(len(keys)), key=keys.__getitem__)
         self.swept = {name: [column[i] for i in order] for name, column in swept.items()}
         self.index = Index(index.table.take(order), index.fresh, index.before, index.earlier)
+        self.shown = self.index.table.select(COLUMNS)
         self.place = {cell: i for i, cell in enumerate(self.index.column("cell"))}
         self.summary: list[dict[str, Any]] = []
         self.failures: list[dict[str, Any]] = []
@@ -160,7 +161,7 @@ class _Collect:
 
     def _rows_of(self, cell: str) -> pa.Table:
         """The replications of a changed cell; its summary and failures are noted."""
-        row = self.index.table.slice(self.place[cell], 1).to_pylist()[0]
+        row = self.shown.slice(self.place[cell], 1).to_pylist()[0]
         made = CellRows(self.out, row)
         made.write()
         self.summary += made.summary
@@ -225,11 +226,8 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> pa.
 
 def _write(out: Path, name: str, table: pa.Table) -> Path:
     """Write a table of the next generation; return its file."""
-    import pyarrow.parquet as pq
-
     file, meta = manifest.new_file(out, name), schema({}, provenance()).metadata
-    table = table.replace_schema_metadata(meta)
-    write_atomically(file, lambda temporary: pq.write_table(table, temporary, **WRITING))
+    save(file, table.replace_schema_metadata(meta))
     return file
 
 
