@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,15 +51,16 @@ def filled(template: str, values: Values) -> str | None:
 
 def overview(studies: Sequence[Study], claims: pd.DataFrame, results: Path) -> list[str]:
     """A text for each study that has findings, from the tables under `results`, and one on all
-    claims and errata. Sentences of numbers that were not computed are left out.
+    claims and errata. A sentence whose numbers were not computed is left out with those after it,
+    which build on it.
     """
     texts = []
     for study in studies:
         if study.findings:
             contents = [stored.read(study, item, results).values for item in study.items]
             values = {key: value for one in contents for key, value in one.items()}
-            sentences = [filled(template, values) for template in study.findings]
-            texts += [" ".join(filter(None, sentences))]
+            sentences = (filled(template, values) for template in study.findings)
+            texts += [" ".join(s for s in takewhile(bool, sentences) if s)]
     head = headline(claims)
     errata = sum(len(study.errata) for study in studies)
     last = f"{head[:1].upper()}{head[1:]}; {errata} errata of the papers, each with a test."
@@ -74,4 +78,5 @@ def write_into(readme: Path, texts: Sequence[str]) -> None:
 
 def listed(texts: Sequence[str]) -> str:
     """The texts as a numbered list in Markdown."""
-    return "\n".join(f"{number}. {text}" for number, text in enumerate(texts, 1))
+    wrapped = partial(textwrap.fill, width=120, subsequent_indent="   ", break_on_hyphens=False)
+    return "\n".join(wrapped(f"{number}. {text}") for number, text in enumerate(texts, 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from aoabench.studies.claims import CLASSES
 from aoabench.studies.places import Places
 from aoabench.studies.sections import Row
 from aoabench.studies.statements import Verdicts
-from aoabench.studies.stored import OTHER_VERSION
+from aoabench.studies.stored import OTHER_VERSION, Stored, read
 from aoabench.studies.study import Study, code_of
 from aoabench.studies.verdict import DEPENDS, FAILS, HOLDS, NOT_JUDGED, UNDECIDED
 
@@ -56,6 +56,7 @@ def write(
     rows = _rows(everything, verdicts)
     ordered = sorted(everything, key=lambda s: not s.claims)  # a leaderboard comes last
     html = environment.get_template("page.html.j2").render(
+        coarse=any(s.scale == "quick" for s in _contents(everything, places)),
         overview=findings.overview(ordered, verdicts.claims, places.results),
         studies=[sections.section(s, rows, places, problems or {}) for s in ordered],
         rows=rows,
@@ -69,6 +70,13 @@ def write(
     path = places.drawn / "report" / "index.html"
     write_atomically(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
     return path
+
+
+def _contents(everything: list[Study], places: Places) -> Iterator[Stored]:
+    """The stored tables of all items."""
+    for study in everything:
+        for item in study.items:
+            yield read(study, item, places.results)
 
 
 def _rows(everything: list[Study], verdicts: Verdicts) -> list[Row]:

@@ -148,7 +148,7 @@ def _row(claim: Claim, item: Item, found: Sequence[Mapping[str, Any]]) -> dict[s
     own = [row for row in found if not row["robustness"]]
     shown = own[0]
     word = verdict.together(row["verdict"] for row in own)
-    reasons = dict.fromkeys(row["reason"] for row in own if row["reason"])
+    reasons = _reasons(own)
     explained = claim.reason if word in (FAILS, DEPENDS) else ""
     number = printed_text(claim.printed, claim.rounding) if claim.printed is not None else ""
     needed = [row["needed"] for row in own if row["needed"] == row["needed"]]
@@ -171,6 +171,14 @@ def _row(claim: Claim, item: Item, found: Sequence[Mapping[str, Any]]) -> dict[s
         "basis": item.basis,
         "counts": claim.judged,
     }
+
+
+def _reasons(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The distinct reasons of the readings; of what would decide them, the one that needs most."""
+    undecided = [row for row in rows if row["needed"] == row["needed"]]
+    most = max(undecided, key=lambda row: row["needed"], default=None)
+    kept = [row for row in rows if row is most or row["needed"] != row["needed"]]
+    return list(dict.fromkeys(row["reason"] for row in kept if row["reason"]))
 
 
 def _unjudged(claim: Claim, ours: Estimate) -> str:

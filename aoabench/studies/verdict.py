@@ -75,7 +75,8 @@ def judge(
     counted = [i for i, t in enumerate(tied) if not t] or list(range(len(numbers)))
     words = ["" if all(tied) else alone[i] for i in counted]
     found = _quantified(words, quantifier)
-    order = sorted(counted, key=lambda i: _margin(limits, intervals[i], numbers[i].value))
+    ranks = (FAILS, UNDECIDED, HOLDS)
+    order = sorted(counted, key=lambda i: (ranks.index(alone[i]), _margin(limits, intervals[i])))
     place = {"for all": 0, "exists": -1, "typical": (len(order) - 1) // 2}[quantifier]
     at = order[place]
     decisive, (low, high) = numbers[at], intervals[at]
@@ -121,7 +122,7 @@ def _quantified(words: Sequence[str], quantifier: str) -> str:
     return FAILS if fails > len(words) - enough else UNDECIDED
 
 
-def _margin(limits: Limits, interval: tuple[float, float], value: float) -> float:
+def _margin(limits: Limits, interval: tuple[float, float]) -> float:
     """How far an interval lies within the limits (negative: outside, or across), in its
     half-widths where it has one.
     """

@@ -31,6 +31,8 @@ def test_names_of_studies_items_metrics_and_estimators(complete, small_run):
     assert complete("reproduce", "nurminen2018", "n") == []
     assert complete("reproduce", "le2021", "--only", "fig5") == ["fig5"]
     assert complete("reproduce", "le2021", "--only", "fig4") == [], "no item of this study"
+    assert complete("reproduce", "le2021", "--only", "fig5,ta") == ["fig5,table1"]
+    assert complete("reproduce", "--only", "fig4,le2021/ta") == ["fig4,le2021/table1"]
     assert complete("compare", "x", "--metric", "fai") == ["failure_rate"]
     assert complete("compare", "x", "--baseline", "pf_v") == ["pf_vmf"], "of all presets"
     run = f"'{small_run}'"

@@ -119,16 +119,19 @@ def test_nees_draws_its_table(figure_of):
 
 def test_the_leaderboard_is_in_the_order_of_its_rmse_and_says_intervals():
     s = study.load("leaderboard")
-    item = s.items[0]
-    frame = stored.table(RESULTS, s, item)
-    for _, rows in frame.groupby("setting"):
-        assert rows["rmse_m"].is_monotonic_increasing
-        others = rows[rows["rank"] > 1]
-        assert (others["above_low"] <= others["above_percent"]).all()
-        assert (others["above_percent"] <= others["above_high"]).all()
-    shown = stored.read(s, item, RESULTS).shown
-    assert list(shown["estimator"]) == list(frame["estimator"])
-    assert shown["above the best [%], 95 % interval"].iloc[0] == "best"
+    for item in s.items:
+        frame = stored.table(RESULTS, s, item)
+        for _, rows in frame.groupby("setting"):
+            assert rows["rmse_m"].is_monotonic_increasing
+            others = rows[rows["rank"] > 1]
+            assert (others["above_low"] <= others["above_percent"]).all()
+            assert (others["above_percent"] <= others["above_high"]).all()
+            (best,) = rows[rows["estimator"] == rows["best"]].to_dict("records")
+            assert (best["rank"], best["kind"] != "limit") == (1, True)
+        shown = stored.read(s, item, RESULTS).shown
+        assert list(shown["estimator"]) == list(frame["estimator"])
+        marked = shown[shown["above the best [%], 95 % interval"] == "best"]
+        assert list(marked["rank"]) == ["1"] * frame["setting"].nunique()
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import pytest
 from aoabench.config import catalogue
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
+from aoabench.engine.tiles import Draws
 from aoabench.store import tables
 from aoabench.store.fixes import fixes, steps
 from aoabench.studies import study
@@ -62,8 +63,10 @@ def test_the_bound_is_that_of_independent_fixes_alone(board):
     (grid,) = compose_cells(["experiment=leaderboard_bs_grid", "noise.sigma_deg=2"])
     (half,) = compose_cells(["experiment=leaderboard_bs_grid", "noise.sigma_deg=1"])
     assert numbers.bound_m(grid) == pytest.approx(2 * numbers.bound_m(half), rel=1e-12)
-    squares, crb_xy = study.load("le2021").numbers.common.bound(grid)
-    assert numbers.bound_m(grid) == pytest.approx(np.sqrt(squares.mean()), rel=1e-12)
+    truth = Draws(grid.scenario, grid.noise, grid.seed).tile(0, 1)[0][0]
+    covariance = np.linalg.inv(grid.noise.information(truth, grid.scenario.true_anchors))
+    mean_square = covariance[:, [0, 1, 2], [0, 1, 2]].sum(axis=1).mean()
+    assert numbers.bound_m(grid) == pytest.approx(np.sqrt(mean_square), rel=1e-9)
 
 
 def test_the_figure_draws_each_bar_or_cuts_and_labels_it(board):

@@ -102,6 +102,13 @@ def test_quantifiers(values, every, some, most):
         assert alone == j.word, "the number that is shown is one that decides"
 
 
+def test_a_number_without_an_error_does_not_hide_one_that_fails():
+    numbers = [Estimate(9.0, math.nan), Estimate(-5.0, 0.1), Estimate(5.0, 0.1)]
+    found = judge(numbers, POSITIVE)
+    assert (found.word, found.decisive) == (FAILS, 1)
+    assert judge(numbers[::2], POSITIVE).decisive == 0
+
+
 def test_several_numbers_have_intervals_that_hold_together():
     """Bonferroni: each of m at 1 - 0.003/m; a number that alone holds is undecided among twenty."""
     z = norm.isf(0.0015 / 20)
