@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from aoabench.errors import UserError, did_you_mean
+from aoabench.report.text import printed_text
 
 # Classes of a claim; all but the judged ones with the reason why they are not judged.
 CLASSES = {
@@ -73,7 +74,8 @@ class Claim:
     """One printed number or statement, or a number of ours that stands beside it unjudged.
 
     A number holds within its `rounding` (half a unit of the last printed digit) and `printed_se`
-    (the Monte Carlo error of the print). A statement holds for values `above` or `at_least` one
+    (the Monte Carlo error of the print); `as_printed` is its text in the paper where that differs
+    (52% for 0.52). A statement holds for values `above` or `at_least` one
     limit and `below` or `at_most` another, for all, some (exists) or most (typical) of a reading's
     numbers; differences within `tie` count as none. `chosen` names who set the limits.
     `not_judged` is the reason why a number or statement cannot be judged. `tolerance` is that of a
@@ -89,6 +91,7 @@ class Claim:
     quote: str = ""
     unit: str = ""
     printed: float | None = None
+    as_printed: str = ""
     rounding: float = 0.0
     printed_se: float = 0.0
     quantifier: str = "for all"
@@ -101,6 +104,13 @@ class Claim:
     tolerance: float | None = None
     reason: str = ""
     not_judged: str = ""
+
+    @property
+    def printed_text(self) -> str:
+        """The printed number with the paper's digits; "" without one."""
+        if self.printed is None:
+            return ""
+        return self.as_printed or printed_text(self.printed, self.rounding)
 
     @property
     def judged(self) -> bool:

@@ -14,7 +14,6 @@ import numpy as np
 
 from aoabench.maths.intervals import normal_quantile
 from aoabench.maths.statistics import Estimate
-from aoabench.report.text import printed_text
 from aoabench.studies import stored, verdict
 from aoabench.studies.claims import CLASSES, Claim, Reading
 from aoabench.studies.study import Item, Study
@@ -150,7 +149,6 @@ def _row(claim: Claim, item: Item, found: Sequence[Mapping[str, Any]]) -> dict[s
     word = verdict.together(row["verdict"] for row in own)
     reasons = _reasons(own)
     explained = claim.reason if word in (FAILS, DEPENDS) else ""
-    number = printed_text(claim.printed, claim.rounding) if claim.printed is not None else ""
     needed = [row["needed"] for row in own if row["needed"] == row["needed"]]
     return {
         "item": claim.item,
@@ -160,7 +158,7 @@ def _row(claim: Claim, item: Item, found: Sequence[Mapping[str, Any]]) -> dict[s
         "what": claim.what,
         "where": claim.where,
         "quote": claim.quote,
-        "printed": number or limits_text(claim),
+        "printed": claim.printed_text or limits_text(claim),
         **{key: shown[key] for key in ("ours", "se", "low", "high", "unit", "flips", "shows")},
         "verdict": word,
         "reason": "; ".join(filter(None, [explained, *reasons])),
