@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +26,14 @@ class Places:
     def inside(cls, folder: Path) -> Places:
         """All folders inside one, as --results names it."""
         return cls(folder, folder, folder / "raw", folder / "bench")
+
+    @property
+    def options(self) -> str:
+        """The options, after a space, with which `aoabench reproduce` writes these tables."""
+        if self.results == RESULTS:
+            return " --scale paper"
+        own = self.results != RESULTS / "quick"
+        return f" --results {shlex.quote(str(self.results))}" if own else ""
 
 
 def of_scale(scale: str, folder: Path | None = None) -> Places:

@@ -226,7 +226,8 @@ def draw(
     for s in {s.name: s for s, _ in pairs}.values():
         absent = [item.name for item in s.items if not present[id(item)]]
         if absent:
-            echo(f"{s.name}: not computed: {', '.join(absent)}; aoabench reproduce {s.name}")
+            again = f"aoabench reproduce {s.name} --only {','.join(absent)}{places.options}"
+            echo(f"{s.name}: not computed; {again}")
     return _conclude(pairs, problems, places, echo, every)
 
 
@@ -237,7 +238,7 @@ def _drawn(
     problem = stored.draw(s, item, places, tuple(formats))
     problem = problem or stored.read(s, item, places.results).problem
     if problem:
-        again = f"aoabench reproduce {s.name} --only {item.name}"
+        again = f"aoabench reproduce {s.name} --only {item.name}{places.options}"
         echo(f"{s.name} {item.name}: not computed: {problem}; {again}")
     return problem
 

@@ -197,7 +197,7 @@ def test_a_deleted_table_takes_its_numbers_and_figure_from_the_page(results):
     assert html.count("data:image/png") == images - 1, (
         "the old figure lies there still, but is of no table"
     )
-    assert any(line.startswith("nurminen2018: not computed: ") and "fig1" in line for line in said)
+    assert any(line.startswith("nurminen2018: not computed; ") and "fig1" in line for line in said)
 
 
 def test_the_page_copes_without_any_table_and_without_a_bench(tmp_path):

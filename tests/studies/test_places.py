@@ -37,6 +37,12 @@ def test_committed_places_are_written_with_commit_only(commit, drawn, monkeypatc
     assert places.of_report("quick") == places.of_scale("quick")
 
 
+def test_advice_names_the_options_that_write_the_same_tables(tmp_path):
+    assert places.of_scale("quick").options == ""
+    assert places.of_report("paper").options == places.of_scale("paper").options == " --scale paper"
+    assert Places.inside(Path("my results")).options == " --results 'my results'"
+
+
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a checkout")
 @pytest.mark.parametrize(
     "folder", ["raw/le2021", "quick/tables", "quick/report", "draft/figures", "draft/bench"]
