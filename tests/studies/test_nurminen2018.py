@@ -18,6 +18,7 @@ from aoabench.models.azel import AzEl, AzElAdaptive, adaptive_table
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
 from aoabench.studies import study
+from aoabench.types import Anchors
 
 STUDY = study.load("nurminen2018")
 SIGMA = np.deg2rad(10)
@@ -161,6 +162,36 @@ def test_exact_posterior_equals_importance_sampling():
     mean = w @ x[0]
     se = np.sqrt((w**2) @ (x[0] - mean) ** 2)
     assert np.all(np.abs(mean - STUDY.numbers.update.exact_mean(h, 160)) < 5 * se)
+
+
+@pytest.mark.parametrize("model", ["ae_nominal", "vmf"])
+def test_figure_2_is_a_textbook_update_from_the_papers_prior(model):
+    """EKF with a covariance P = 0.75^2 I, written out [Nurminen 2018, Section IV-C], and the moments
+    of the seven sigma points for the UKF's predicted measurement.
+    """
+    setting = STUDY.numbers.FIG2
+    x, P = setting["mean"], setting["sigma_m"] ** 2 * np.eye(3)
+    h = AzEl(5.0) if model == "ae_nominal" else UnitVector(kappa=1 / np.deg2rad(5.0) ** 2)
+    anchor = Anchors(np.zeros((1, 1, 3)), np.eye(3)[None, None])
+    y, r = STUDY.numbers.update.measurement_of(h)
+    H = h.jacobian(x[None], anchor)[0]
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.diag(r[0]))
+    mean = x + K @ h.residual(y, h.predict(x[None], anchor))[0]
+    rows = STUDY.numbers.fig2("quick").set_index(["method", "model"])
+    found = rows.loc[("ekf", model), ["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
+    assert np.allclose(found, mean, atol=1e-9)
+    root = np.sqrt(3.5) * setting["sigma_m"]
+    points = np.concatenate([x[None], x + root * np.eye(3), x - root * np.eye(3)])
+    w = np.array([0.5 / 3.5, *[0.5 / 3.5] * 6])
+    assert np.allclose(w, 1 / 7), "equally weighted"
+    centre = h.predict(points[:1], anchor)
+    d = h.residual(np.concatenate([h.predict(p[None], anchor) for p in points]), centre)
+    middle, moved = w @ d, points - x
+    S = (d - middle).T @ (w[:, None] * (d - middle)) + np.diag(r[0])
+    D = moved.T @ (w[:, None] * (d - middle))
+    mean = x + D @ np.linalg.solve(S, h.residual(y, centre + middle)[0])
+    found = rows.loc[("ukf", model), ["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
+    assert np.allclose(found, mean, atol=1e-9)
 
 
 def test_earlier_versions_elevation_is_a_colatitude():
@@ -335,7 +366,9 @@ def test_wins_and_excess_beyond_the_particle_filter():
     ])  # fmt: skip
     table = STUDY.numbers.fig4(runs).set_index("estimator")
     row = table.loc["ukf_ae_fitted"]
-    assert row["wins_percent"] == pytest.approx(100 * np.mean(wide["ukf_ae_fitted"] < wide["ukf_vmf"]))
+    assert row["wins_percent"] == pytest.approx(
+        100 * np.mean(wide["ukf_ae_fitted"] < wide["ukf_vmf"])
+    )
     own = wide["ukf_ae_fitted"].mean() / wide["ukf_vmf"].mean()
     of_pf = wide["pf_ae_fitted"].mean() / wide["pf_vmf"].mean()
     assert row["beyond_pf_percent"] == pytest.approx(100 * (own - of_pf))

@@ -66,7 +66,8 @@ def readings(frame: pd.DataFrame) -> Figure:
             axis.errorbar(ratio, y, xerr=bars, label=NAMES[name], **look)
         axis.axvline(1, color="black", lw=0.8, ls=":")
         axis.set(xscale="log", title=title, xlabel="error over that of WCG, ratio")
-        axis.set_xticks([1, 10, 100], ["1", "10", "100"])
+        axis.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
+        axis.set_xticks([], minor=True)
     texts = [f"{SETTINGS[setting]}, {kind}" for setting, kind in lines]
     axes[0].set_yticks([-i for i in range(len(lines))], texts)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)

@@ -40,7 +40,7 @@ def fig2(scale: str) -> pd.DataFrame:
         y, r = measurement_of(h)
         for name, kalman in (("ekf", EKF(h)), ("ukf", UKF(h))):
             mean, _ = kalman.update(
-                FIG2["mean"][None], FIG2["sigma_m"] ** 2 * np.eye(3)[None], y, r, anchor
+                FIG2["mean"][None], FIG2["sigma_m"] * np.eye(3)[None], y, r, anchor
             )
             rows.append((name, model, *mean[0], angle_deg(mean[0], u)))
         exact = exact_mean(h, nodes)
