@@ -49,10 +49,12 @@ def filled(template: str, values: Values) -> str | None:
     return " ".join(_NUMBER.sub(text, template).split())
 
 
-def overview(studies: Sequence[Study], claims: pd.DataFrame, results: Path) -> list[str]:
-    """A text for each study that has findings, from the tables under `results`, and one on all
-    claims and errata. A sentence whose numbers were not computed is left out with those after it,
-    which build on it.
+def overview(
+    studies: Sequence[Study], claims: pd.DataFrame, results: Path
+) -> list[tuple[str, str]]:
+    """The name and a text for each study that has findings, from the tables under `results`, and ""
+    with a text on all claims and errata. A sentence whose numbers were not computed is left out
+    with those after it, which build on it.
     """
     texts = []
     for study in studies:
@@ -60,23 +62,24 @@ def overview(studies: Sequence[Study], claims: pd.DataFrame, results: Path) -> l
             contents = [stored.read(study, item, results).values for item in study.items]
             values = {key: value for one in contents for key, value in one.items()}
             sentences = (filled(template, values) for template in study.findings)
-            texts += [" ".join(s for s in takewhile(bool, sentences) if s)]
+            texts.append((study.name, " ".join(s for s in takewhile(bool, sentences) if s)))
     head = headline(claims)
     errata = sum(len(study.errata) for study in studies)
     last = f"{head[:1].upper()}{head[1:]}; {errata} errata of the papers, each with a test."
-    return [*filter(None, texts), last]
+    return [*((name, text) for name, text in texts if text), ("", last)]
 
 
-def write_into(readme: Path, texts: Sequence[str]) -> None:
-    """Write the texts as a numbered list between the marks <!-- findings --> and <!-- /findings -->
-    of a Markdown file.
+def write_into(readme: Path, texts: Sequence[tuple[str, str]]) -> None:
+    """Write the texts of `overview` as a numbered list between the marks <!-- findings --> and
+    <!-- /findings --> of a Markdown file.
     """
     text = readme.read_text(encoding="utf-8")
     new = _MARKS.sub(lambda m: m[1] + listed(texts) + m[2], text)
     write_atomically(readme, lambda temporary: temporary.write_text(new, encoding="utf-8"))
 
 
-def listed(texts: Sequence[str]) -> str:
-    """The texts as a numbered list in Markdown."""
+def listed(texts: Sequence[tuple[str, str]]) -> str:
+    """The texts of `overview` as a numbered list in Markdown."""
     wrapped = partial(textwrap.fill, width=120, subsequent_indent="   ", break_on_hyphens=False)
-    return "\n".join(wrapped(f"{number}. {text}") for number, text in enumerate(texts, 1))
+    named = [f"`{name}`: {text}" if name else text for name, text in texts]
+    return "\n".join(wrapped(f"{number}. {text}") for number, text in enumerate(named, 1))

@@ -49,17 +49,19 @@ def test_the_overview_joins_the_sentences_of_a_study_and_counts_the_claims(tmp_p
     write_frame(study.table_path(tmp_path, mine, items[0]), pd.DataFrame({"x": [1.25]}))
     claims = statements.verdicts([mine, other], tmp_path).claims
     first, last = findings.overview([mine, other], claims, tmp_path)
-    assert first == "x is 1.2. twice 1.", "the rest builds on what is missing"
-    assert last.startswith("Of 0 statements that can fail, 0 hold")
-    assert last.endswith("; 2 errata of the papers, each with a test.")
+    assert first == ("mine", "x is 1.2. twice 1."), "the rest builds on what is missing"
+    assert last[0] == ""
+    assert last[1].startswith("Of 0 statements that can fail, 0 hold")
+    assert last[1].endswith("; 2 errata of the papers, each with a test.")
 
 
 def test_a_list_replaces_what_stands_between_the_marks(tmp_path):
     readme = tmp_path / "README.md"
     readme.write_text("a\n<!-- findings -->\n1. old\n2. old\n<!-- /findings -->\nb\n")
-    findings.write_into(readme, ["new \\1", "next"])
+    findings.write_into(readme, [("mine", "new \\1"), ("", "next")])
     assert (
-        readme.read_text() == "a\n<!-- findings -->\n1. new \\1\n2. next\n<!-- /findings -->\nb\n"
+        readme.read_text()
+        == "a\n<!-- findings -->\n1. `mine`: new \\1\n2. next\n<!-- /findings -->\nb\n"
     )
 
 
@@ -80,7 +82,7 @@ def test_every_number_of_a_finding_is_one_of_the_committed_tables(name):
     claims = statements.verdicts([s], ROOT / "results").claims
     texts = findings.overview([s], claims, ROOT / "results")
     assert len(texts) == 1 + bool(s.findings)
-    assert not re.search(r"\bnan\b|\binf\b", " ".join(texts))
+    assert not re.search(r"\bnan\b|\binf\b", " ".join(text for _, text in texts))
     for template in s.findings:
         assert "{" in template, "numbers are not typed"
 
