@@ -52,21 +52,27 @@ def filled(template: str, values: Values) -> str | None:
 def overview(
     studies: Sequence[Study], claims: pd.DataFrame, results: Path
 ) -> list[tuple[str, str]]:
-    """The name and a text for each study that has findings, from the tables under `results`, and ""
-    with a text on all claims and errata. A sentence whose numbers were not computed is left out
-    with those after it, which build on it.
+    """The name and the first finding of each study, from the tables under `results`, and "" with a
+    sentence on all claims and errata. A study whose first finding was not computed is left out.
     """
     texts = []
     for study in studies:
         if study.findings:
             contents = [stored.read(study, item, results).values for item in study.items]
             values = {key: value for one in contents for key, value in one.items()}
-            sentences = (filled(template, values) for template in study.findings)
-            texts.append((study.name, " ".join(s for s in takewhile(bool, sentences) if s)))
+            texts.append((study.name, filled(study.findings[0], values)))
     head = headline(claims)
     errata = sum(len(study.errata) for study in studies)
     last = f"{head[:1].upper()}{head[1:]}; {errata} errata of the papers, each with a test."
     return [*((name, text) for name, text in texts if text), ("", last)]
+
+
+def further(study: Study, values: Values) -> str:
+    """The findings of a study after the first, as one text. A sentence whose numbers were not
+    computed is left out with those after it, which build on it.
+    """
+    sentences = (filled(template, values) for template in study.findings)
+    return " ".join(s for s in list(takewhile(bool, sentences))[1:] if s)
 
 
 def write_into(readme: Path, texts: Sequence[tuple[str, str]]) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from aoabench.maths.digest import flatten
 from aoabench.report.text import number_text
+from aoabench.studies import findings
 from aoabench.studies.places import Places
 from aoabench.studies.stored import Stored, read
 from aoabench.studies.study import Item, Study, figure_path
@@ -33,7 +34,8 @@ def section(
     errata = [{**e, "effect_text": _effect(e.get("effect"), found)} for e in study.errata]
     readme = study.folder / "README.md"
     text = readings(readme.read_text(encoding="utf-8")) if readme.exists() else ""
-    return {"study": study, "items": items, "readings": text, "errata": errata}
+    more = findings.further(study, found)
+    return {"study": study, "found": more, "items": items, "readings": text, "errata": errata}
 
 
 def _item(

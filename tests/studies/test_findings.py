@@ -36,7 +36,7 @@ def test_a_format_that_is_none_is_one_line():
         findings.filled("{lost:.2q}", VALUES)
 
 
-def test_the_overview_joins_the_sentences_of_a_study_and_counts_the_claims(tmp_path):
+def test_the_overview_has_the_first_sentence_of_a_study_and_counts_the_claims(tmp_path):
     (tmp_path / "figures.py").write_text(
         "from aoabench.maths.statistics import Estimate\n"
         "def item_values(frame): return {'x': Estimate(frame['x'][0], 0.0)}\n"
@@ -49,7 +49,10 @@ def test_the_overview_joins_the_sentences_of_a_study_and_counts_the_claims(tmp_p
     write_frame(study.table_path(tmp_path, mine, items[0]), pd.DataFrame({"x": [1.25]}))
     claims = statements.verdicts([mine, other], tmp_path).claims
     first, last = findings.overview([mine, other], claims, tmp_path)
-    assert first == ("mine", "x is 1.2. twice 1."), "the rest builds on what is missing"
+    assert first == ("mine", "x is 1.2.")
+    values = {"x": (Estimate(1.25, 0.0), math.nan)}
+    assert findings.further(mine, values) == "twice 1.", "the rest builds on what is missing"
+    assert findings.further(other, values) == ""
     assert last[0] == ""
     assert last[1].startswith("Of 0 statements that can fail, 0 hold")
     assert last[1].endswith("; 2 errata of the papers, each with a test.")
