@@ -21,10 +21,10 @@ from aoabench.errors import RunError, UserError, did_you_mean
 from aoabench.maths import intervals, statistics
 from aoabench.maths.statistics import Paired
 from aoabench.store import tables
+from aoabench.store.clusters import CLUSTERED
 from aoabench.store.comparison import FAILURES, Comparison
-from aoabench.store.fixes import clusters_of
+from aoabench.store.fixes import influences_of
 from aoabench.store.parts import intact_parts
-from aoabench.store.summary import CLUSTERED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -166,8 +166,7 @@ def _pairing(
         key = name, kept.tobytes()
         if key not in known:
             entry = entries[name]
-            sums = clusters_of(run, entry, intact_parts(run, entry["key"]), kept)
-            found = None if sums is None else sums.influence(metric)
+            found = influences_of(run, entry, intact_parts(run, entry["key"]), kept, metric)
             if found is None:
                 raise RunError(
                     f"{run}: the fixes of {name} in part {entry['key']} are missing; "

@@ -59,11 +59,11 @@ class Comparison:
         """
         pair = self.pair
         if math.isfinite(pair.percent.value):
-            change, ends = pair.percent, pair.percent_interval()
+            change = pair.percent
         else:
-            change, ends = pair.difference, pair.interval()
+            change = pair.difference
         rate = self.metric == FAILURES
-        return (100 * pair.difference.value if rate else change.value, *ends)
+        return (100 * pair.difference.value if rate else change.value, *change.interval())
 
     def row(self, p_holm: float, comparisons: int) -> dict[str, Any]:
         """The columns of the table, given the adjusted p-value and the number of comparisons."""

@@ -68,7 +68,7 @@ def _over_replications(frame: pd.DataFrame, settings: pd.Series, axis: str) -> p
         rmse = {str(name): statistics.mean(wide[name]) for name in wide}
         best = min(rmse, key=lambda name: rmse[name].value)
         pairs = {name: statistics.paired(wide[name], wide[best]) for name in rmse}
-        above = {name: (p.percent, p.percent_interval()) for name, p in pairs.items()}
+        above = {name: (p.percent, p.percent.interval()) for name, p in pairs.items()}
         fixes = part.groupby("estimator")[["n_ok", "n_fixes"]].sum()
         ok = (fixes["n_ok"] / fixes["n_fixes"]).to_dict()
         metric = {"3d": "3-D", "xy": "horizontal"}[axis]
