@@ -193,8 +193,8 @@ def bootstrap(
 
     The arrays share that axis and are drawn together: paired. Axis 0 of (R,) or (R, T): whole
     replications; axis 1 of (R, P): whole positions that all replications share. Steps within a
-    replication are never separated. Use it for statistics without an interval of their own; those of
-    `statistics` have a better coverage and are faster.
+    replication are never separated. Use it for statistics without an interval of their own; those
+    of `statistics` have a better coverage and are faster.
     """
     from scipy import stats
 

@@ -19,8 +19,8 @@ def largest_share(squares: ArrayLike) -> float:
 
 
 def usual_share(n: int, level: float = 0.05) -> float:
-    """The share that the largest of n independent exponential values holds of their sum with the
-    probability `level` or less [Fisher 1929, to first order, which is exact above 1/2]; 1 for n = 1.
+    """The share that the largest of n independent exponential values exceeds with the probability
+    `level`, or less [Fisher 1929, to first order, which is exact above 1/2]; 1 for n = 1.
 
     The square of a normal error in the plane is exponential. A mean of several such squares, which
     is what most units are, has a lighter tail and a smaller share.

@@ -1,12 +1,11 @@
-"""Quantities over fixes: quantiles of the error, shares of fixes within a distance, availability."""
+"""Quantities over fixes: quantiles of the error, shares within a distance, availability."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from aoabench.columns import CEP, ERROR_Z, WITHIN_M
 from aoabench.maths import intervals
@@ -27,14 +26,14 @@ class Errors:
     place: np.ndarray | None = None
 
 
-def accuracy(errors: Errors | None, rows: Mapping[str, Any]) -> dict[str, float]:
+def accuracy(errors: Errors | None, n_ok: ArrayLike, n_fixes: ArrayLike) -> dict[str, float]:
     """The columns of the summary that count fixes, with their 95 % intervals, from every fix;
-    without them availability alone, from the columns n_ok and n_fixes of the replications.
+    without them availability alone, from the numbers of fixes (N,) of the replications.
 
     Quantiles are over the fixes with a position; shares are of all fixes.
     """
     if errors is None:
-        ok, all_ = (np.asarray(rows[n], dtype=float)[:, None] for n in ("n_ok", "n_fixes"))
+        ok, all_ = (np.asarray(n, dtype=float)[:, None] for n in (n_ok, n_fixes))
         return _share("availability", ok, all_, None)
     place, all_ = errors.place, np.ones(errors.ok.shape)
     found = _share("availability", errors.ok.astype(float), all_, place)

@@ -58,10 +58,7 @@ class Comparison:
         Price's, whose centre is a difference shrunken towards 0.
         """
         pair = self.pair
-        if math.isfinite(pair.percent.value):
-            change = pair.percent
-        else:
-            change = pair.difference
+        change = pair.percent if math.isfinite(pair.percent.value) else pair.difference
         rate = self.metric == FAILURES
         return (100 * pair.difference.value if rate else change.value, *change.interval())
 

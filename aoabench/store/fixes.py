@@ -52,7 +52,7 @@ class Fixes:
     def accepted(self) -> np.ndarray:
         """Whether a fix has a position with a known error (R, T)."""
         usable = ~np.isin(self.outcome, [Outcome.FAILED, Outcome.REJECTED])
-        return usable & np.isfinite(self.error_xy_m)
+        return np.asarray(usable & np.isfinite(self.error_xy_m))
 
 
 _FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", "outcome", "place")

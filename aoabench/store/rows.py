@@ -135,8 +135,8 @@ class CellRows:
             found.append([table[n].to_numpy().reshape(R, -1) for n in names])
         xy, z, outcome = (np.concatenate(arrays) for arrays in zip(*found))
         positions = ~np.isin(outcome, ["failed", "rejected"])
-        known = (np.where(positions, e, np.nan) for e in (xy, z))
-        return Errors(*known, ok=outcome == "ok")
+        xy, z = (np.where(positions, e, np.nan) for e in (xy, z))
+        return Errors(xy, z, outcome == "ok")
 
     def _failures(
         self, name: str, failed: pd.DataFrame, parts: Sequence[Part], reasons: pd.DataFrame | None

@@ -56,7 +56,7 @@ def summarise(
     reason, count = (None, math.nan) if reasons is None else commonest(reasons)
     result |= {"reason": reason, "share_reason": count / fixes}
     result["se_by"] = "replication" if clusters is None else "position"
-    return result | accuracy(errors, rows)
+    return result | accuracy(errors, rows["n_ok"], rows["n_fixes"])
 
 
 def commonest(reasons: pd.DataFrame) -> tuple[str, int]:
