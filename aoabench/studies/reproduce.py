@@ -65,8 +65,8 @@ def reproduce(
     formats: Sequence[str] = ("png",),
     fresh: bool = False,
 ) -> Reproduced:
-    """Compute the items of the named studies (all if none is named) at a scale, then draw them;
-    with `fresh`, reuse no stored replications.
+    """Compute the items of the named studies (if none is named, of all but those that must be
+    named) at a scale, then draw them; with `fresh`, reuse no stored replications.
 
     Raises UserError for an unknown study or item.
     """
@@ -77,7 +77,7 @@ def reproduce(
                 f"study {name!r}: unknown"
                 f"{did_you_mean(name, known) or '; allowed: ' + ', '.join(known)}"
             )
-    chosen = [study.load(name) for name in (names or known)]
+    chosen = [s for s in map(study.load, names or known) if names or not s.named_only]
     items = [(s, item) for s in chosen for item in s.items if only is None or item.name == only]
     if only is not None and not items:
         present = [item.name for s in chosen for item in s.items]

@@ -42,6 +42,7 @@ class Study:
     printed: tuple[dict[str, Any], ...]
     errata: tuple[dict[str, Any], ...]
     schematic: str = ""
+    named_only: bool = False  # computed only by a command that names the study
 
     @property
     def numbers(self) -> ModuleType:
@@ -72,9 +73,8 @@ def load(name: str) -> Study:
     spec = read("study.yaml")
     items = tuple(Item(name=key, **fields) for key, fields in spec["items"].items())
     printed, errata = tuple(read("claims.yaml")), tuple(read("errata.yaml"))
-    return Study(
-        name, folder, spec["title"], spec["cite"], items, printed, errata, spec.get("schematic", "")
-    )
+    rest = {key: spec[key] for key in ("schematic", "named_only") if key in spec}
+    return Study(name, folder, spec["title"], spec["cite"], items, printed, errata, **rest)
 
 
 @cache
