@@ -54,6 +54,7 @@ COLUMNS = (
     "units",
     "verdict",
     "needed",
+    "heavy_tail",
     "text",
 )
 
@@ -68,8 +69,8 @@ def compare(
     baseline; n pairs of `of` replications; mean, baseline_mean; change (of the mean against the
     baseline's, in `unit`: %, percentage points, or the metric's own) with its 95 % interval
     change_low, change_high; p, p_holm; verdict; by (the independent unit: replication or position)
-    and units (their number); needed (units needed to detect 1 % with probability 0.8); text (the
-    line).
+    and units (their number); needed (units needed to detect 1 % with probability 0.8); heavy_tail
+    (of an RMSE: whether the summary flags one of the two estimators); text (the line).
 
     Where the data pick the baseline, Holm's method counts all pairs of a cell, printed or not.
     Raises UserError for a run, metric or baseline that does not exist, and RunError if parts that
@@ -111,8 +112,19 @@ def compare(
     )
     kinds = {"p_holm": float, "verdict": object, "needed": float, "text": object}
     table = table.astype(kinds)
+    table["heavy_tail"] = _heavy_tails(table, shown["summary"])
     table.attrs |= {"comparisons": comparisons, "left_out": left_out}
     return table
+
+
+def _heavy_tails(table: pd.DataFrame, summary: pd.DataFrame) -> list[bool]:
+    """Whether the summary flags an estimator of each row's comparison, whose metric is an RMSE."""
+    heavy = summary["heavy_tail"] if "heavy_tail" in summary else [False] * len(summary)
+    found = {pair for pair, flag in zip(zip(summary["cell"], summary["estimator"]), heavy) if flag}
+    return [
+        metric.startswith("rmse") and not found.isdisjoint([(cell, a), (cell, b)])
+        for cell, metric, a, b in zip(*(table[n] for n in ("cell", *COLUMNS[:3])))
+    ]
 
 
 def _replications(frame: pd.DataFrame, baseline: str | None, metric: str) -> pd.DataFrame:

@@ -46,15 +46,25 @@ def test_packets_of_one_position_are_one_cluster_in_the_summary(tmp_path):
     found = clusters(tmp_path, cell, "anchor_mean")
     assert len(found.fixes) == fixes.place.max() + 1 == 42
     square = np.bincount(fixes.place.ravel(), (fixes.error_xy_m.astype(float) ** 2).ravel())
-    assert np.allclose(found.square_xy, square)
+    assert np.allclose(found.totals[1], square)
     summary = (
         pd.read_parquet(tmp_path / "summary.parquet").set_index("estimator").loc["anchor_mean"]
     )
     rmse = np.sqrt(square / found.fixes)
     assert summary["se_by"] == "position"
-    assert np.isclose(
-        summary["rmse_pooled_xy_m_se"], statistics.pooled_rmse(rmse, found.fixes).se, atol=0
-    )
+    by_position = statistics.pooled_rmse(rmse, found.fixes).se
+    assert by_position <= summary["rmse_pooled_xy_m_se"] < 2 * by_position
+    errors = np.where(fixes.accepted, fixes.error_xy_m, np.nan)
+    known = errors[np.isfinite(errors)]
+    for probability, name in ((0.5, "cep50_m"), (0.9, "cep90_m")):
+        ends = intervals.cep_interval(errors, probability, fixes.place[0])
+        assert summary[name] == pytest.approx(np.quantile(known, probability))
+        assert (summary[f"{name}_low"], summary[f"{name}_high"]) == pytest.approx(ends)
+        assert ends[0] < summary[name] < ends[1]
+    for limit in (1, 2, 5):
+        assert summary[f"p_within_{limit}m"] == (errors <= limit).mean()
+    square = found.totals[0]
+    assert summary["largest_share"] == pytest.approx(square.max() / square.sum())
     some = clusters(tmp_path, cell, "anchor_mean", [0, 2])
     assert some.replications == 2
     assert np.array_equal(some.fixes, np.full(42, 6.0))
