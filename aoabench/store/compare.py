@@ -110,8 +110,7 @@ def compare(
         [first | c.row(float(p), comparisons) for (first, c), p in zip(rows, adjusted)],
         columns=[*IDENTITY, *varied, *COLUMNS],
     )
-    kinds = {"p_holm": float, "verdict": object, "needed": float, "text": object}
-    table = table.astype(kinds)
+    table = table.astype({"p_holm": float, "verdict": object, "needed": float, "text": object})
     table["heavy_tail"] = _heavy_tails(table, shown["summary"])
     table.attrs |= {"comparisons": comparisons, "left_out": left_out}
     return table

