@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench.maths.statistics import Estimate
-from aoabench.report.plots import BOUND_LABEL, GREY, PAGE, bound, bound_ratio, log_bars, new
+from aoabench.report.plots import BOUND_LABEL, GREY, PAGE, bound, bound_ratio, error_bars, new
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +29,7 @@ SIGMA = "deviation of the angles [deg]"
 
 
 def _curve(axis: Any, rows: pd.DataFrame, x: str, y: str, se: str, **style: Any) -> None:
-    bars = log_bars(rows[y], rows[se])
+    bars = error_bars(rows, y, se, log=True)
     axis.errorbar(rows[x], rows[y], yerr=bars, capsize=2, elinewidth=0.8, **style)
 
 
@@ -161,14 +161,14 @@ def table1(frame: pd.DataFrame) -> Figure:
         ),
     ):
         scale = 100 if column == "share" else 1
-        se = scale * rows["rmse_se" if column == "rmse_m" else f"{column}_se"].fillna(0)
+        bars = scale * error_bars(rows, column, "rmse_se" if column == "rmse_m" else "", log=True)
         for i in range(len(rows)):
             value = scale * rows[column].iloc[i]
             if value > 0:
                 axis.errorbar(
                     value,
                     y[i],
-                    xerr=min(3 * se.iloc[i], 0.9 * value),
+                    xerr=np.nan_to_num(bars[:, i : i + 1]),
                     fmt="o",
                     color=colours[i],
                     capsize=2,
@@ -216,10 +216,9 @@ def errata(frame: pd.DataFrame) -> Figure:
         rows = _of(frame[frame["variant"] == variant], "ml_kcorr")
         _curve(left, rows, "sigma_deg", "rmse_m", "rmse_se", label=label, **style)
         if variant in ("sign", "invariant"):
-            above, se = rows["above_meant_percent"], rows["above_meant_se"]
-            right.errorbar(
-                rows["sigma_deg"], above, yerr=3 * se, capsize=2, elinewidth=0.8, **style
-            )
+            above = rows["above_meant_percent"]
+            bars = error_bars(rows, "above_meant_percent", "above_meant_se")
+            right.errorbar(rows["sigma_deg"], above, yerr=bars, capsize=2, elinewidth=0.8, **style)
     rows = _of(frame[frame["variant"] == "meant"], "ml_kcorr")
     bound(left, rows["sigma_deg"], rows["bound_m"])
     left.set(xlabel=SIGMA, ylabel="RMSE of (d) [m]", yscale="log")
