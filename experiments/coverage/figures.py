@@ -1,4 +1,4 @@
-"""Coverage: the figure and the table, each a function of the item's table alone."""
+"""Coverage: figures and tables, each a function of an item's table alone."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ LEFT = 60.0  # per cent, where the axis begins; what lies below is drawn there
 QUANTITIES = ("pooled RMSE", "mean RMSE", "median", "change")
 
 
-def intervals(frame: pd.DataFrame) -> Figure:
+def coverage(frame: pd.DataFrame) -> Figure:
     """Coverage of the 95 % intervals, a panel per quantity and a row per estimator and size."""
     rows = _labels(frame)
     labels = list(dict.fromkeys(rows["label"]))[::-1]
-    height = 1.0 + 0.155 * len(labels)
+    height = 1.2 + 0.19 * len(labels)
     figure, axes = new(PAGE, height, cols=len(QUANTITIES), sharey=True, sharex=True, squeeze=False)
     for axis, quantity in zip(axes[0], QUANTITIES):
         some = rows[rows["quantity"] == quantity]
@@ -52,15 +52,14 @@ def _labels(frame: pd.DataFrame) -> pd.DataFrame:
 
     def label(row: Any) -> str:
         place = f", {row.positions} positions" if row.positions >= 0 else ""
-        room = row.setting.replace("corridor, nodes known to", "nodes known to")
-        where = f" ({room})" if "known" in room else ""
+        where = f", {row.setting}" if row.setting else ""
         flagged = f"{100 * row.flagged:.3g} % flagged"
         return f"{row.estimator}{where}, N = {row.replications}{place}: {flagged}"
 
     return frame.assign(label=[label(row) for row in frame.itertuples()])
 
 
-def intervals_table(frame: pd.DataFrame) -> pd.DataFrame:
+def coverage_table(frame: pd.DataFrame) -> pd.DataFrame:
     """Coverage as texts."""
 
     def share(row: dict[str, Any], name: str) -> str:
@@ -84,3 +83,7 @@ def intervals_table(frame: pd.DataFrame) -> pd.DataFrame:
             "± 1.96 s.e. [%]": [f"{100 * v:.1f}" if v == v else "-" for v in frame["symmetric"]],
         }
     )
+
+
+square_track = corridor = bs_grid = room = coverage
+square_track_table = corridor_table = bs_grid_table = room_table = coverage_table

@@ -61,27 +61,56 @@ _WALK = (
 )  # fmt: skip
 
 
-def _settings() -> Iterator[Setting]:
-    both = ("ekf_vmf", "ukf_ae_adaptive")
-    yield Setting("square track", _TRACK, both, "ekf_vmf", (10, 25, 100), 1000)
-    for sigma, seeds in ((0.5, 1000), (0, 400)):
-        words = (*_WALK, f"noise.an_sigma_m={sigma:g}")
-        name = f"corridor, nodes known to {sigma:g} m"
-        yield Setting(name, words, ("ekf_aoa",), "ekf_toa_aoa", (10, 25), seeds)
-    for name, words, judged, baseline, counts in (
-        ("base station grid", _GRID, ("ml_arctan", "ml_atan2"), "ml_kcorr", (1000, 400, 500)),
-        ("room", _ROOM, ("discrepancy",), "ls_lines", (1000, 200, 200)),
-    ):
-        for positions, sizes, seeds in zip((100, 100, 1000), ((10, 25), (100,), (10,)), counts):
-            yield Setting(name, words, judged, baseline, sizes, seeds, positions)
+def square_track(scale: str) -> pd.DataFrame:
+    """Filters on the square track."""
+    judged = ("ekf_vmf", "ukf_ae_adaptive")
+    return _table([Setting("", _TRACK, judged, "ekf_vmf", (10, 25, 100), 1000)], scale)
 
 
-def intervals(scale: str) -> pd.DataFrame:
+def corridor(scale: str) -> pd.DataFrame:
+    """The filter of angles alone in 30 m of a corridor, two uncertainties of the access nodes."""
+    return _table(
+        [
+            Setting(
+                f"nodes known to {sigma:g} m",
+                (*_WALK, f"noise.an_sigma_m={sigma:g}"),
+                ("ekf_aoa",),
+                "ekf_toa_aoa",
+                (10, 25),
+                seeds,
+            )
+            for sigma, seeds in ((0.5, 400), (0, 200))
+        ],
+        scale,
+    )
+
+
+def bs_grid(scale: str) -> pd.DataFrame:
+    """Maximum likelihood without phase-jump correction at random positions among base stations."""
+    judged = ("ml_arctan", "ml_atan2")
+    return _table(_at_positions(_GRID, judged, "ml_kcorr", (1000, 200, 200)), scale)
+
+
+def room(scale: str) -> pd.DataFrame:
+    """The discrepancy filter at random points of a room."""
+    return _table(_at_positions(_ROOM, ("discrepancy",), "ls_lines", (500, 100, 100)), scale)
+
+
+def _at_positions(
+    words: tuple[str, ...], judged: tuple[str, ...], baseline: str, seeds: tuple[int, ...]
+) -> list[Setting]:
+    """Runs of 10 and 25, and of 100, replications at 100 positions, and of 10 at 1000."""
+    return [
+        Setting("", words, judged, baseline, sizes, n, positions)
+        for positions, sizes, n in zip((100, 100, 1000), ((10, 25), (100,), (10,)), seeds)
+    ]
+
+
+def _table(settings: list[Setting], scale: str) -> pd.DataFrame:
     """A row for each setting, estimator, size of a run and quantity."""
-    chosen = list(_settings())
     if scale == "quick":
-        chosen = [_small(s) for s in chosen if s.sizes[0] == 10 and s.positions in (None, 100)]
-    return pd.DataFrame([row for setting in chosen for row in _rows(setting)])
+        settings = [_small(s) for s in settings if s.sizes[0] == 10 and s.positions in (None, 100)]
+    return pd.DataFrame([row for setting in settings for row in _rows(setting)])
 
 
 def _small(setting: Setting) -> Setting:

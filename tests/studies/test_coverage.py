@@ -15,7 +15,12 @@ COMMITTED = Path(__file__).parents[2] / "results" / "tables" / "coverage_interva
 
 @pytest.fixture(scope="module")
 def quick():
-    return study.load("coverage").numbers.intervals("quick")
+    return pd.concat(
+        [
+            getattr(study.load("coverage").numbers, item.name)("quick")
+            for item in study.load("coverage").items
+        ]
+    )
 
 
 def test_a_quick_run_has_a_row_for_every_method_and_quantity(quick):
