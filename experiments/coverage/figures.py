@@ -30,7 +30,7 @@ def coverage(frame: pd.DataFrame) -> Figure:
         axis.set(title=quantity, xlabel="coverage [%]", xlim=(LEFT - 2, 101))
     axes[0, 0].set_yticks(range(len(labels)), labels)
     axes[0, 0].set_ylim(-0.7, len(labels) - 0.3)
-    axes[0, 0].legend(loc="lower left", fontsize=5, handletextpad=0.2)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 

@@ -17,6 +17,9 @@ from aoabench.engine.block import run_block
 from aoabench.maths import intervals as limits
 from aoabench.maths import statistics
 from aoabench.maths.statistics import Estimate
+from aoabench.roles import Scenario
+from aoabench.scenarios.bs_grid import BsGrid
+from aoabench.scenarios.room import Room
 from aoabench.store.accuracy import Errors
 from aoabench.store.clusters import influences, position_sums
 from aoabench.store.summary import summarise
@@ -166,12 +169,13 @@ def _run(setting: Setting, cell: Cell, seed: int) -> dict[tuple[str, int], dict[
     return found
 
 
-def _at_new_positions(scenario: Any, seed: int, positions: int) -> Any:
+def _at_new_positions(scenario: Scenario, seed: int, positions: int) -> Scenario:
     """The scenario with positions of its own for this seed; the grid draws them by itself."""
-    if scenario.name == "bs_grid":
-        return replace(scenario, positions=positions)
-    points = np.random.default_rng([seed, positions]).random((positions, 2))
-    return replace(scenario, points_m=(points * scenario.size_m[:2]).tolist())
+    if isinstance(scenario, Room):
+        points = np.random.default_rng([seed, positions]).random((positions, 2))
+        return replace(scenario, points_m=(points * scenario.size_m[:2]).tolist())
+    assert isinstance(scenario, BsGrid)
+    return replace(scenario, positions=positions)
 
 
 def _first(rows: Mapping[str, np.ndarray], size: int) -> dict[str, np.ndarray]:
