@@ -106,25 +106,33 @@ def _with(ends: str, *names: str) -> dict[str, str]:
 
 
 _RMSE = [f"rmse_{which}_{axis}_m" for axis in ("3d", "xy", "z") for which in ("pooled", "mean")]
+# quantiles over fixes, of the error in the plane and of |error_z|, with their probabilities
+CEP = {f"cep{q}_m": q / 100 for q in (50, 67, 75, 80, 90, 95)}
+ERROR_Z = {f"error_z_q{q}_m": q / 100 for q in (50, 67, 95)}
+WITHIN_M = (1, 2, 5)  # p_within_1m is the share of fixes with an error in the plane of at most 1 m
 # The swept parameters follow the identity. The ends of an interval at the level 0.95 are _low and
-# _high. Of a quantile of the replications' RMSE (rmse_q50_3d_m) there is a standard error; cep50_m
-# and error_z_q50_m are quantiles over fixes, of the error in the plane and of |error_z|.
-# p_error_below is the share of fixes with an error in the plane of at most error_limit_m.
+# _high. Quantiles of the replications' RMSE (rmse_q50_3d_m) have a standard error, and the median
+# an interval between order statistics. CEP and what follows need every fix: positions that all
+# replications share, or stored steps; availability, the share of fixes that are ok, does not.
+# largest_share is the share of the sum of squared 3-D errors that the largest unit of `se_by`
+# holds; heavy_tail says whether it exceeds maths.tails.usual_share.
 SUMMARY = {
     **dict.fromkeys(IDENTITY, "string"),
     "replications": "int64",
     **_with("_se _low _high", *_RMSE),
-    **_with("_se", *(f"rmse_q{q}_3d_m" for q in ("05", "25", "50", "75", "95"))),
+    **_with("_se", *(f"rmse_q{q}_3d_m" for q in ("05", "25"))),
+    **_with("_se _low _high", "rmse_q50_3d_m"),
+    **_with("_se", *(f"rmse_q{q}_3d_m" for q in ("75", "95"))),
+    "largest_share": "double",
+    "heavy_tail": "bool",
     **_with("_se _low _high", "failure_rate"),  # of replications with a failed or diverged fix
     **_with("_se", "nees_mean", "iterations_mean"),
     **_with("", "share_ok", "share_rejected", "share_oscillated", "share_diverged"),  # of fixes
     **_with("", "share_failed", "share_unmeasured", "share_imprecise"),
     "reason": "string",  # the commonest of the fixes that are not ok
     "share_reason": "double",  # of all fixes
-    **_with("_low _high", *(f"cep{q}_m" for q in (50, 67, 75, 80, 90, 95))),
-    **_with("_low _high", *(f"error_z_q{q}_m" for q in (50, 67, 95))),
-    "error_limit_m": "double",
-    **_with("_low _high", "p_error_below", "availability"),
+    **_with("_low _high", *CEP, *ERROR_Z),
+    **_with("_low _high", *(f"p_within_{limit}m" for limit in WITHIN_M), "availability"),
     "se_by": "string",
 }
 

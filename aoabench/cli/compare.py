@@ -57,7 +57,9 @@ def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None
     `rows`, the rows of compare.parquet; `left_out`, an object {cell not compared: reason}.
     """
     from aoabench.report.comparison import lines
+    from aoabench.report.tails import heavy_tails, heavy_tails_text
     from aoabench.store import compare as compare_module
+    from aoabench.store import tables
     from aoabench.store.files import write_frame
 
     table = compare_module.compare(run, baseline, metric)
@@ -66,6 +68,8 @@ def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None
         print_json({"run": run, "metric": metric, **found, "rows": table.to_dict("records")})
     else:
         echo("\n".join(lines(table)))
+        if table["heavy_tail"].any():
+            echo("\n".join(heavy_tails_text(heavy_tails(tables.shown(run, "summary")["summary"]))))
     try:
         write_frame(run / "compare.parquet", table)
     except OSError as error:  # another user's run, or an archive

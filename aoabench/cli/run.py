@@ -102,7 +102,8 @@ def run(
       aoabench run -m experiment=nurminen2018_frames reps=500
 
     With --json: `out`, the folder; `seconds`, `computed`, `reused`; `cells`, each with its
-    `config`; `summary`, the rows of summary.parquet; `not_ok`, the estimators with fixes that are
+    `config`; `summary`, the rows of summary.parquet; `heavy_tails`, the
+    estimators whose RMSE a few large errors decide; `not_ok`, the estimators with fixes that are
     not ok, each with shares and the commonest reason; `errors`, `precision`, `damaged`; `notes`,
     remarks about the input; `figures` of a recording; `worst`, with --worst.
     """

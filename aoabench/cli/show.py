@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from aoabench.cell import Cell
 from aoabench.cli.outcomes import not_ok, not_ok_text
 from aoabench.columns import SUMMARY
+from aoabench.report.tails import heavy_tails, heavy_tails_text
 from aoabench.report.text import interval_text
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ _MOST_ROWS = 60
 _RMSE = {
     "rmse_pooled_3d_m": "pooled RMSE 3-D [m]",
     "rmse_mean_3d_m": "mean RMSE 3-D [m]",
+    "rmse_q50_3d_m": "median RMSE 3-D [m]",
     "rmse_pooled_xy_m": "pooled RMSE xy [m]",
 }
 
@@ -75,9 +77,10 @@ def run_text(found: Finished) -> Iterator[str]:
     yield _table(found)
     clustered = (found.summary["se_by"] == "position").any()
     yield (
-        "pooled: over all fixes; mean: mean of the replications' RMSE, as in compare; "
+        "pooled: over all fixes; mean, median: of the replications' RMSE, mean as in compare; "
         f"[95 % interval{', clustered by position' if clustered else ''}]"
     )
+    yield from heavy_tails_text(heavy_tails(found.summary))
     yield from not_ok_text(not_ok(found.summary))
     if found.errors:
         yield (
@@ -149,6 +152,7 @@ def run_json(found: Finished) -> dict[str, Any]:
             for cell in found.cells.values()
         ],
         "summary": found.summary.to_dict("records"),
+        "heavy_tails": heavy_tails(found.summary),
         "not_ok": not_ok(found.summary),
         "errors": {"replications": len(found.errors), "first": next(iter(found.errors), None)},
         "precision": report.precision,

@@ -32,64 +32,7 @@ def normal_quantile(confidence: float) -> float:
     return float(ndtri(0.5 + confidence / 2))
 
 
-def student_quantile(degrees: int, confidence: float = 0.95) -> float:
-    """t with P(|T| <= t) = confidence for Student's T with `degrees` of freedom; NaN for 0."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(degrees, 0.5 + confidence / 2)) if degrees > 0 else math.nan
-
-
-def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
-    """Interval of a mean over replications (N,), corrected for skewness [Hall 1992, transformation
-    g2].
-
-    With a = skewness / sqrt(N) the studentised mean T is replaced by T + a T^2/3 + a^2 T^3/27 +
-    a/6, whose distribution is Student's to the next order; Student's interval is the case a = 0.
-    """
-    from scipy.special import stdtrit
-
-    x = finite(values)
-    n = len(x)
-    if n < 2:
-        return NOTHING
-    middle, deviation = float(x.mean()), float(x.std(ddof=1))
-    if deviation == 0.0:
-        return middle, middle
-    a = float((((x - middle) / deviation) ** 3).mean()) / math.sqrt(n)
-    t = float(stdtrit(n - 1, 0.5 + confidence / 2))
-    low, high = (_hall(y, a) for y in (t, -t))
-    se = deviation / math.sqrt(n)
-    return middle - se * low, middle - se * high
-
-
-def _hall(y: float, a: float) -> float:
-    """The T whose Hall transform is y."""
-    if abs(a) < 1e-6:  # the cube root cancels; to first order in a
-        return y - a * (1 + 2 * y * y) / 6
-    return float(3 / a * (np.cbrt(1 + a * (y - a / 6)) - 1))
-
-
-def rmse_interval(
-    rmse: ArrayLike, fixes: ArrayLike | None = None, confidence: float = 0.95
-) -> Interval:
-    """Interval of the pooled RMSE from each replication's RMSE (N,) and number of accepted fixes
-    (N,).
-
-    The interval is the square root of the interval of the mean square, a ratio of means, whose
-    linearised terms have the interval of `mean_interval`.
-    """
-    r = np.asarray(rmse, dtype=float)
-    n = np.ones_like(r) if fixes is None else np.asarray(fixes, dtype=float)
-    keep = np.isfinite(r) & (n > 0)
-    r, n = r[keep], n[keep]
-    if len(r) < 2:
-        return NOTHING
-    square = float((n * r**2).sum() / n.sum())
-    low, high = mean_interval(square + n * (r**2 - square) / n.mean(), confidence)
-    return math.sqrt(max(low, 0.0)), math.sqrt(max(high, 0.0))
-
-
-def rate_interval(count: int, n: int, confidence: float = 0.95) -> Interval:
+def rate_interval(count: float, n: float, confidence: float = 0.95) -> Interval:
     """Wilson's score interval of a proportion, equal to that of scipy.stats.binomtest, whose import
     takes half a second.
     """
@@ -108,38 +51,100 @@ def quantile_interval(values: ArrayLike, probability: float, confidence: float =
     statistics.
 
     The coverage is at least `confidence` for any distribution; an end that no order statistic
-    reaches is infinite.
+    reaches is infinite. It is the interval of scipy.stats.quantile_test, whose import takes half a
+    second.
     """
-    from scipy.stats import quantile_test
+    from scipy.special import bdtr
 
-    x = finite(values)
-    if len(x) == 0:
+    x = np.sort(finite(values))
+    n = len(x)
+    if n == 0:
         return NOTHING
-    found = quantile_test(x, p=probability).confidence_interval(confidence)
-    return (-math.inf if math.isnan(found.low) else float(found.low)), (
-        math.inf if math.isnan(found.high) else float(found.high)
+    below = bdtr(np.arange(n, dtype=float), n, probability)  # P(at most k of n below the quantile)
+    tail = (1 - confidence) / 2
+    low = int(np.searchsorted(below, tail, side="right"))
+    high = int(np.searchsorted(below, 1 - tail))
+    return (
+        float(x[low - 1]) if low > 0 else -math.inf,
+        float(x[high]) if high < n else math.inf,
     )
 
 
-def cep_interval(
-    error: ArrayLike, probability: float = 0.5, axis: int = 0, confidence: float = 0.95
-) -> Interval:
-    """Interval of a quantile of all fixes' errors (R, T) m (NaN: no fix), whose independent units
-    lie along `axis`.
-
-    For horizontal errors this is the circular error probable, CEP50, CEP90 and so on. Axis 0:
-    replications; axis 1: positions that all replications share. Woodruff's method: the empirical
-    quantile function maps the interval of the share of fixes below the estimate, a ratio of means
-    over the units, to errors.
+def by_place(x: Array, place: np.ndarray | None) -> Array:
+    """Sums (R, P) of x (R, T) over the fixes of each position; `place` (T,) numbers the position of
+    each fix from 0, or is None where each has its own.
     """
-    e = np.moveaxis(np.atleast_2d(np.asarray(error, dtype=float)), axis, 0)
+    if place is None or np.array_equal(place, np.arange(x.shape[1])):
+        return x
+    order = np.argsort(place, kind="stable")
+    starts = np.flatnonzero(np.diff(place[order], prepend=-1))
+    return np.add.reduceat(x[:, order], starts, axis=1)
+
+
+def share_error(hits: Array, tries: Array, place: np.ndarray | None = None) -> float:
+    """Standard error of the share sum of `hits` / sum of `tries`, both (R, T); NaN for less than
+    two units.
+
+    The replications are the independent units. With `place` they share their positions, which are
+    units too: see statistics.crossed.
+    """
+    n = max(float(tries.sum()), 1.0)
+    influence = (hits - tries * (hits.sum() / n)) / n
+    R = len(influence)
+    over = R / (R - 1) * float((influence.sum(axis=1) ** 2).sum()) if R > 1 else math.nan
+    if place is None:
+        return math.sqrt(over)
+    cells = by_place(influence, place)
+    P = cells.shape[1]
+    if P < 2:
+        return math.nan
+    more = over - float((cells**2).sum()) if R > 1 else 0.0
+    return math.sqrt(P / (P - 1) * float((cells.sum(axis=0) ** 2).sum()) + max(more, 0.0))
+
+
+def share_interval(
+    hits: ArrayLike, tries: ArrayLike, place: np.ndarray | None = None, confidence: float = 0.95
+) -> Interval:
+    """Interval of the share sum of `hits` / sum of `tries`, both (R, T), whose fixes depend on each
+    other as in `share_error`.
+
+    It is Wilson's interval for the number of independent tries that has this standard error; for a
+    share of 0 or 1, which has no error of its own, this is the number of units.
+    """
+    h, n = (np.asarray(x, dtype=float) for x in (hits, tries))
+    se = share_error(h, n, place)
+    if math.isnan(se) or not n.sum() > 0:
+        return NOTHING
+    share = float(h.sum() / n.sum())
+    units = len(h) if place is None else by_place(h, place).shape[1]
+    equal = share * (1 - share) / se**2 if se > 0 else float(units)
+    return rate_interval(share * equal, equal, confidence)
+
+
+def cep_interval(
+    error: ArrayLike,
+    probability: float = 0.5,
+    place: np.ndarray | None = None,
+    confidence: float = 0.95,
+) -> Interval:
+    """Interval of a quantile of all fixes' errors (R, T) m (NaN: no fix), which depend on each
+    other as in `share_error`.
+
+    For horizontal errors this is the circular error probable, CEP50, CEP90 and so on. Woodruff's
+    method: the empirical quantile function maps the interval of the share of fixes below the
+    estimate to errors.
+    """
+    e = np.atleast_2d(np.asarray(error, dtype=float))
     known = np.isfinite(e)
     pooled = e[known]
-    if len(e) < 2 or len(pooled) == 0:
+    if len(pooled) == 0:
         return NOTHING
-    fixes, below = known.sum(axis=1), (known & (e <= np.quantile(pooled, probability))).sum(axis=1)
-    influence = (below - fixes * below.sum() / fixes.sum()) / fixes.mean()
-    half = normal_quantile(confidence) * float(influence.std(ddof=1)) / math.sqrt(len(e))
+    below = known & (e <= np.quantile(pooled, probability))
+    half = normal_quantile(confidence) * share_error(
+        below.astype(float), known.astype(float), place
+    )
+    if math.isnan(half):
+        return NOTHING
     low, high = np.quantile(pooled, np.clip([probability - half, probability + half], 0.0, 1.0))
     return float(low), float(high)
 
@@ -188,8 +193,8 @@ def bootstrap(
 
     The arrays share that axis and are drawn together: paired. Axis 0 of (R,) or (R, T): whole
     replications; axis 1 of (R, P): whole positions that all replications share. Steps within a
-    replication are never separated. Use it for statistics without an interval of their own;
-    `mean_interval` and `rmse_interval` have a slightly better coverage and are faster.
+    replication are never separated. Use it for statistics without an interval of their own; those
+    of `statistics` have a better coverage and are faster.
     """
     from scipy import stats
 

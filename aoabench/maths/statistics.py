@@ -15,89 +15,58 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aoabench.maths import intervals
+from aoabench.maths.estimate import Estimate as Estimate
+from aoabench.maths.estimate import combined
 from aoabench.maths.intervals import finite, normal_quantile
 
 Array = np.ndarray
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A number and its Monte Carlo standard error (NaN for too few values, and of NaN)."""
-
-    value: float
-    se: float
-
-    def __post_init__(self) -> None:
-        if math.isnan(self.value):
-            object.__setattr__(self, "se", math.nan)
-
-    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Normal confidence interval."""
-        half = normal_quantile(confidence) * self.se
-        return self.value - half, self.value + half
-
-    def __mul__(self, factor: float) -> Estimate:
-        """Value and standard error times a factor, for another unit."""
-        return Estimate(factor * self.value, abs(factor) * self.se)
-
-    __rmul__ = __mul__
-
-    def __add__(self, other: Estimate | float) -> Estimate:
-        """Sum with an independent estimate, or with a number that is known exactly."""
-        b = other if isinstance(other, Estimate) else Estimate(other, 0.0)
-        return Estimate(self.value + b.value, math.hypot(self.se, b.se))
-
-    def __sub__(self, other: Estimate | float) -> Estimate:
-        """Difference from an independent estimate, or from a number that is known exactly."""
-        return self + -1 * other
-
-    def root(self) -> Estimate:
-        """Square root, its standard error by the delta method: NaN at 0; both NaN below 0."""
-        root = math.sqrt(self.value) if self.value >= 0 else math.nan
-        return Estimate(root, self.se / (2 * root) if root > 0 else math.nan)
-
-    def percent(self) -> Estimate:
-        """The estimate of a share, in percent."""
-        return self * 100
-
-    def columns(self, name: str, se: str = "") -> dict[str, float]:
-        """Two columns of a table: NAME for the value, `se` (default NAME_se) for the error."""
-        return {name: self.value, se or f"{name}_se": self.se}
-
-
 def mean(values: ArrayLike) -> Estimate:
     """Mean over replications (N,)."""
     x = finite(values)
-    se = float(x.std(ddof=1) / math.sqrt(len(x))) if len(x) > 1 else math.nan
-    return Estimate(float(x.mean()) if len(x) else math.nan, se)
+    if len(x) == 0:
+        return Estimate(math.nan, math.nan)
+    value = float(x.mean())
+    return from_influence(value, x - value)
+
+
+def from_influence(value: float, influence: Array, curve: float = 0.0) -> Estimate:
+    """An estimate from the influences (N,) of independent units, which sum to 0: N times the
+    first-order change that each of them makes.
+
+    `curve` is the second derivative of the estimate along the change of the data that moves it by
+    its own amount, to first order in every quantity alike; 0 for a mean.
+    """
+    n = len(influence)
+    if n < 2:
+        return Estimate(value, math.nan, units=n)
+    deviation = float(influence.std(ddof=1))
+    se = deviation / math.sqrt(n)
+    skew = 1.5 * se * curve
+    if n > 2 and deviation > 0:
+        third = float((((influence - influence.mean()) / deviation) ** 3).mean())
+        skew += third * n**1.5 / ((n - 1) * (n - 2))  # unbiased third cumulant
+    return Estimate(value, se, skew, n)
 
 
 def pooled_rmse(rmse: ArrayLike, fixes: ArrayLike | None = None) -> Estimate:
     """Root of the mean square over all fixes, from each replication's RMSE (N,) and number of
-    accepted fixes (N,).
-
-    It is the root of a ratio of means; its standard error is by the delta method over replications.
+    accepted fixes (N,): the root of a ratio of means.
     """
     r = np.asarray(rmse, dtype=float)
     n = np.ones_like(r) if fixes is None else np.asarray(fixes, dtype=float)
     keep = np.isfinite(r) & (n > 0)
     r, n = r[keep], n[keep]
-    if len(r) == 0:
-        return Estimate(math.nan, math.nan)
-    square = float((n * r**2).sum() / n.sum())
-    root = math.sqrt(square)
-    if len(r) < 2 or root == 0.0:
-        return Estimate(root, math.nan)
-    influence = n * (r**2 - square) / n.mean()
-    return Estimate(root, float(influence.std(ddof=1) / math.sqrt(len(r)) / (2 * root)))
+    return ratio(n * r**2, n).root()
 
 
 def quantile(values: ArrayLike, probability: float) -> Estimate:
     """Quantile over replications (N,) with the Maritz-Jarrett standard error.
 
     This error is the standard deviation, under the empirical distribution, of the order statistic
-    nearest to the quantile.
+    nearest to the quantile; the skewness is the one with which the interval at 0.95 ends where the
+    distribution of the order statistic, expanded to second order, has its quantiles.
     """
     x = np.sort(finite(values))
     n = len(x)
@@ -110,20 +79,11 @@ def quantile(values: ArrayLike, probability: float) -> Estimate:
 
     m = min(max(math.floor(probability * n + 0.5), 1), n)
     w = np.diff(betainc(m, n - m + 1, np.arange(n + 1) / n))
-    return Estimate(value, math.sqrt(float(w @ (x - w @ x) ** 2)))
-
-
-def cep(error: ArrayLike, probability: float = 0.5, axis: int = 0) -> Estimate:
-    """Quantile of all fixes' errors (R, T) m (NaN: no fix); for horizontal errors, the circular
-    error probable.
-
-    Independent units lie along `axis`: 0 replications, 1 positions that all replications share. The
-    standard error is derived from `intervals.cep_interval` at the confidence 2/3.
-    """
-    e = finite(np.ravel(np.asarray(error, dtype=float)))
-    low, high = intervals.cep_interval(error, probability, axis, confidence=2 / 3)
-    half = (high - low) / (2 * normal_quantile(2 / 3))
-    return Estimate(float(np.quantile(e, probability)) if len(e) else math.nan, half)
+    off = x - w @ x
+    se = math.sqrt(float(w @ off**2))
+    square = normal_quantile(0.95) ** 2
+    skew = float(w @ (off / se) ** 3) * (square - 1) / (1 + 2 * square) if se > 0 else 0.0
+    return Estimate(value, se, skew)
 
 
 def rate(count: int, n: int) -> Estimate:
@@ -133,15 +93,27 @@ def rate(count: int, n: int) -> Estimate:
     if n < 2:
         return Estimate(float(count) if n else math.nan, math.nan)
     p = min(max(count, 0.5), n - 0.5) / n
-    return Estimate(count / n, math.sqrt(p * (1 - p) / n))
+    se = math.sqrt(p * (1 - p) / n)
+    return Estimate(count / n, se, (1 - 2 * p) / (n * se))
+
+
+def crossed(value: float, units: Estimate, replications: Estimate, within: float) -> Estimate:
+    """The estimate `value` over units that all replications share: the variance over the `units`,
+    plus that over the `replications`, less `within`, the sum of the squared influences of each unit
+    in each replication, which both contain [Cameron, Gelbach, Miller 2011].
+
+    Replications whose units vary independently add nothing, and never take anything away.
+    """
+    more = math.sqrt(max(replications.se**2 - within, 0.0)) if replications.se > 0 else 0.0
+    return combined(value, units, Estimate(0.0, more, replications.skew, replications.units))
 
 
 @dataclass(frozen=True)
 class Paired:
     """Mean of a - b over n paired replications; `percent` is 100 (mean a / mean b - 1).
 
-    `units` is the number of independent units behind the standard errors: replications, or the
-    positions that replications share.
+    `p_value` belongs to the hypothesis of no difference. `units` is the number of independent units
+    behind the standard errors: replications, or the positions that replications share.
     """
 
     n: int
@@ -150,48 +122,43 @@ class Paired:
     p_value: float
     units: int
 
-    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Student-t interval of the difference."""
-        return self._around(self.difference, confidence)
 
-    def percent_interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Student-t interval of the percentage."""
-        return self._around(self.percent, confidence)
-
-    def _around(self, estimate: Estimate, confidence: float) -> tuple[float, float]:
-        half = intervals.student_quantile(max(self.units - 1, 1), confidence) * estimate.se
-        return estimate.value - half, estimate.value + half
-
-
-def paired(a: ArrayLike, b: ArrayLike, influences: tuple[Array, Array] | None = None) -> Paired:
+def paired(a: ArrayLike, b: ArrayLike, cells: tuple[Array, Array] | None = None) -> Paired:
     """Paired comparison of values (N,) of two estimators over the same replications; pairs with a
-    NaN are left out.
+    NaN are left out. The p-value is that of the percentage, or of the difference without one.
 
-    `influences` of shared positions (P,) on the two means (Clusters.influence) cluster the standard
-    errors by position.
+    `cells` of N replications that share P positions are the influences (N, P) of each fix on the
+    two means (fixes.influences); they cluster the standard errors by position.
     """
-    from scipy.special import stdtr
-
     x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     keep = np.isfinite(x) & np.isfinite(y)
     x, y = x[keep], y[keep]
-    u, v = (x, y) if influences is None else influences
-    n, units = len(x), len(u)
-    if n < (2 if influences is None else 1) or units < 2:
+    n, units = len(x), len(x) if cells is None else cells[0].shape[1]
+    if n < (2 if cells is None else 1) or units < 2:
         nothing = Estimate(math.nan, math.nan)
         return Paired(n, nothing, nothing, math.nan, units)
-    difference = Estimate(float((x - y).mean()), mean(u - v).se)
-    ratio = x.mean() / y.mean() if y.mean() else math.nan
-    spread = (
-        mean(u - ratio * v).se / abs(y.mean()) if y.mean() else math.nan
-    )  # delta method for a ratio of means
-    t = (
-        difference.value / difference.se
-        if difference.se > 0
-        else (0.0 if difference.value == 0 else math.inf)
-    )
-    p = 2 * float(stdtr(units - 1, -abs(t)))
-    return Paired(n, difference, Estimate(100 * (ratio - 1), 100 * spread), p, units)
+    difference, sign = mean(x - y), math.copysign(1.0, y.mean())
+    percent = (ratio(sign * x, sign * y) - 1).percent()
+    if cells is not None:
+        u, v = cells
+        difference = _clustered(difference, u - v)
+        if math.isfinite(percent.value):
+            weights, factor = v / y.mean(), 1 + percent.value / 100
+            percent = _clustered(percent, 100 * (u / y.mean() - factor * weights), weights)
+    shown = percent if math.isfinite(percent.value) else difference
+    return Paired(n, difference, percent, shown.p_value(), units)
+
+
+def _clustered(over: Estimate, cells: Array, weights: Array | None = None) -> Estimate:
+    """An estimate over replications, clustered by position through the influences (N, P) of each
+    fix; of a ratio, `weights` (N, P) are the relative influences on the denominator.
+    """
+    by_position = cells.shape[1] * cells.sum(axis=0)
+    curve = 0.0
+    if weights is not None:
+        curve = -2 * _slope(cells.shape[1] * weights.sum(axis=0), by_position)
+    units = from_influence(over.value, by_position, curve)
+    return crossed(over.value, units, over, float((cells**2).sum()))
 
 
 def paired_rate(a: ArrayLike, b: ArrayLike) -> Paired:
@@ -233,52 +200,64 @@ def needed(
 
 
 def ratio(numerator: ArrayLike, denominator: ArrayLike) -> Estimate:
-    """sum of numerators / sum of denominators over independent units (N,), standard error by the
-    delta method.
+    """sum of numerators / sum of denominators over independent units (N,), by the delta method to
+    second order.
     """
-    value, influence = _ratio(numerator, denominator)
-    return Estimate(value, mean(influence).se)
+    value, influence, weight = _ratio(numerator, denominator)
+    return from_influence(value, influence, -2 * _slope(weight, influence))
 
 
 def ratio_difference(
     numerator: ArrayLike, denominator: ArrayLike, other: ArrayLike, other_denominator: ArrayLike
 ) -> Estimate:
-    """One ratio minus another of the same independent units (N,), standard error by the delta
-    method.
+    """One ratio minus another of the same independent units (N,), by the delta method to second
+    order.
 
     Each ratio is a sum of numerators over a sum of denominators; the standard error takes the
     dependence of both within a unit into account.
     """
-    a, influence = _ratio(numerator, denominator)
-    b, other_influence = _ratio(other, other_denominator)
-    return Estimate(a - b, mean(influence - other_influence).se)
+    a, of_a, weight = _ratio(numerator, denominator)
+    b, of_b, other_weight = _ratio(other, other_denominator)
+    i = of_a - of_b
+    curve = -2 * (_slope(of_a, i) * _slope(weight, i) - _slope(of_b, i) * _slope(other_weight, i))
+    return from_influence(a - b, i, curve)
 
 
 def ratio_of_ratios(
     numerator: ArrayLike, denominator: ArrayLike, other: ArrayLike, other_denominator: ArrayLike
 ) -> Estimate:
-    """One ratio over another of the same independent units (N,), standard error by the delta
-    method.
+    """One ratio over another of the same independent units (N,), by the delta method to second
+    order.
 
     Each ratio is a sum of numerators over a sum of denominators. NaN if the other ratio is not
     above 0.
     """
-    a, influence = _ratio(numerator, denominator)
-    b, other_influence = _ratio(other, other_denominator)
+    a, of_a, weight = _ratio(numerator, denominator)
+    b, of_b, other_weight = _ratio(other, other_denominator)
     if not b > 0:
         return Estimate(math.nan, math.nan)
-    return Estimate(a / b, mean((influence - a / b * other_influence) / b).se)
+    i = (of_a - a / b * of_b) / b
+    up, down = _slope(of_a, i) / b, _slope(of_b, i) / b
+    curve = -2 * (up * _slope(weight, i) - a / b * down * _slope(other_weight, i) + down)
+    return from_influence(a / b, i, curve)
 
 
-def _ratio(numerator: ArrayLike, denominator: ArrayLike) -> tuple[float, Array]:
-    """Ratio of two sums over units (N,) and each unit's influence (N,) on it; NaN if the
-    denominators do not add up to more than 0.
+def _ratio(numerator: ArrayLike, denominator: ArrayLike) -> tuple[float, Array, Array]:
+    """Ratio of two sums over units (N,), each unit's influence (N,) on it, and its denominator
+    relative to their mean, minus 1 (N,); NaN if the denominators do not add up to more than 0.
     """
     x, n = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
     if not n.sum() > 0:
-        return math.nan, np.full(len(x), math.nan)
+        nothing = np.full(len(x), math.nan)
+        return math.nan, nothing, nothing
     value = float(x.sum() / n.sum())
-    return value, (x - value * n) / n.mean()
+    return value, (x - value * n) / n.mean(), n / n.mean() - 1
+
+
+def _slope(y: Array, x: Array) -> float:
+    """Change of y (N,) with x (N,) by least squares; 0 where x is 0."""
+    square = float(x @ x)
+    return float(y @ x) / square if square > 0 else 0.0
 
 
 def jackknife(x: ArrayLike, f: Callable[[Array], float], groups: int | None = None) -> Estimate:
@@ -295,4 +274,6 @@ def jackknife(x: ArrayLike, f: Callable[[Array], float], groups: int | None = No
         return Estimate(whole, math.nan)
     group = np.arange(len(units)) % n
     left = np.array([f(units[group != g]) for g in range(n)], dtype=float)
-    return Estimate(whole, math.sqrt((n - 1) / n * float(((left - left.mean()) ** 2).sum())))
+    found = from_influence(whole, (n - 1) * (left.mean() - left))
+    se = math.sqrt((n - 1) / n * float(((left - left.mean()) ** 2).sum()))
+    return Estimate(whole, se, found.skew, n)

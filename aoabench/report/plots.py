@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from aoabench.maths.estimate import stored
 from aoabench.store.files import write_atomically
 
 if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
     from matplotlib.figure import Figure
 
 STYLE = Path(__file__).with_name("house.mplstyle")
@@ -87,13 +91,22 @@ def bound_ratio(axis: Any, label: str | None = None) -> None:
     axis.axhline(1, label=label, **BOUND)
 
 
-def log_bars(value: Any, se: Any) -> list[Any]:
-    """Lengths (2, N) of error bars of three standard errors; lower bars are cut to end above 0, as
-    a logarithmic axis requires.
+BARS = math.erf(3 / math.sqrt(2))  # confidence of error bars: three standard errors if normal
+
+
+def error_bars(rows: pd.DataFrame, name: str, se: str = "", log: bool = False) -> np.ndarray:
+    """Lengths (2, N) of error bars below and above a column's estimates, from their intervals of
+    the confidence BARS (see `Estimate.columns`, whose names are `name` and `se`).
+
+    With `log`, lower bars are cut to end above 0, as a logarithmic axis requires.
     """
     import numpy as np
 
-    return [np.minimum(3 * se, 0.9 * abs(value)), 3 * se]
+    found = [stored(row, name, se) for row in rows.to_dict("records")]
+    value = np.array([e.value for e in found])
+    low, high = np.array([e.interval(BARS) for e in found]).reshape(-1, 2).T
+    below = np.minimum(value - low, 0.9 * abs(value)) if log else value - low
+    return np.array([np.maximum(below, 0.0), np.maximum(high - value, 0.0)])
 
 
 def boxes(

@@ -21,10 +21,10 @@ from aoabench.errors import RunError, UserError, did_you_mean
 from aoabench.maths import intervals, statistics
 from aoabench.maths.statistics import Paired
 from aoabench.store import tables
+from aoabench.store.clusters import CLUSTERED
 from aoabench.store.comparison import FAILURES, Comparison
-from aoabench.store.fixes import clusters_of
+from aoabench.store.fixes import influences_of
 from aoabench.store.parts import intact_parts
-from aoabench.store.summary import CLUSTERED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,6 +54,7 @@ COLUMNS = (
     "units",
     "verdict",
     "needed",
+    "heavy_tail",
     "text",
 )
 
@@ -68,8 +69,8 @@ def compare(
     baseline; n pairs of `of` replications; mean, baseline_mean; change (of the mean against the
     baseline's, in `unit`: %, percentage points, or the metric's own) with its 95 % interval
     change_low, change_high; p, p_holm; verdict; by (the independent unit: replication or position)
-    and units (their number); needed (units needed to detect 1 % with probability 0.8); text (the
-    line).
+    and units (their number); needed (units needed to detect 1 % with probability 0.8); heavy_tail
+    (of an RMSE: whether the summary flags one of the two estimators); text (the line).
 
     Where the data pick the baseline, Holm's method counts all pairs of a cell, printed or not.
     Raises UserError for a run, metric or baseline that does not exist, and RunError if parts that
@@ -109,10 +110,20 @@ def compare(
         [first | c.row(float(p), comparisons) for (first, c), p in zip(rows, adjusted)],
         columns=[*IDENTITY, *varied, *COLUMNS],
     )
-    kinds = {"p_holm": float, "verdict": object, "needed": float, "text": object}
-    table = table.astype(kinds)
+    table = table.astype({"p_holm": float, "verdict": object, "needed": float, "text": object})
+    table["heavy_tail"] = _heavy_tails(table, shown["summary"])
     table.attrs |= {"comparisons": comparisons, "left_out": left_out}
     return table
+
+
+def _heavy_tails(table: pd.DataFrame, summary: pd.DataFrame) -> list[bool]:
+    """Whether the summary flags an estimator of each row's comparison, whose metric is an RMSE."""
+    heavy = summary["heavy_tail"] if "heavy_tail" in summary else [False] * len(summary)
+    found = {pair for pair, flag in zip(zip(summary["cell"], summary["estimator"]), heavy) if flag}
+    return [
+        metric.startswith("rmse") and not found.isdisjoint([(cell, a), (cell, b)])
+        for cell, metric, a, b in zip(*(table[n] for n in ("cell", *COLUMNS[:3])))
+    ]
 
 
 def _replications(frame: pd.DataFrame, baseline: str | None, metric: str) -> pd.DataFrame:
@@ -166,8 +177,7 @@ def _pairing(
         key = name, kept.tobytes()
         if key not in known:
             entry = entries[name]
-            sums = clusters_of(run, entry, intact_parts(run, entry["key"]), kept)
-            found = None if sums is None else sums.influence(metric)
+            found = influences_of(run, entry, intact_parts(run, entry["key"]), kept, metric)
             if found is None:
                 raise RunError(
                     f"{run}: the fixes of {name} in part {entry['key']} are missing; "

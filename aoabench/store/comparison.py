@@ -58,12 +58,9 @@ class Comparison:
         Price's, whose centre is a difference shrunken towards 0.
         """
         pair = self.pair
-        if math.isfinite(pair.percent.value):
-            change, ends = pair.percent, pair.percent_interval()
-        else:
-            change, ends = pair.difference, pair.interval()
+        change = pair.percent if math.isfinite(pair.percent.value) else pair.difference
         rate = self.metric == FAILURES
-        return (100 * pair.difference.value if rate else change.value, *ends)
+        return (100 * pair.difference.value if rate else change.value, *change.interval())
 
     def row(self, p_holm: float, comparisons: int) -> dict[str, Any]:
         """The columns of the table, given the adjusted p-value and the number of comparisons."""

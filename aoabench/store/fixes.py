@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aoabench.errors import UserError
+from aoabench.store.accuracy import Errors
+from aoabench.store.clusters import Clusters, influences, position_sums
 from aoabench.store.folder import noted_parts
 from aoabench.store.index import entry_of
 from aoabench.store.parts import Part, intact_parts
-from aoabench.store.summary import Clusters, position_sums
 from aoabench.types import Outcome
 
 if TYPE_CHECKING:
@@ -52,6 +53,12 @@ class Fixes:
         arrays = {f.name: getattr(self, f.name) for f in fields(Fixes)}
         cut = {n: None if a is None else a[:count] for n, a in arrays.items()}
         return Fixes(**cut)  # type: ignore[arg-type]
+
+    @property
+    def accepted(self) -> np.ndarray:
+        """Whether a fix has a position with a known error (R, T)."""
+        usable = ~np.isin(self.outcome, [Outcome.FAILED, Outcome.REJECTED])
+        return np.asarray(usable & np.isfinite(self.error_xy_m))
 
 
 _FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", "outcome", "place")
@@ -131,21 +138,68 @@ def clusters_of(
     """The sums of `clusters` from the intact parts of a recorded estimator; `wanted` (N,) are the
     numbers of the replications.
     """
+    total: Clusters | None = None
+    for one, place in each_part(out, entry, parts, wanted):
+        found = position_sums(*_errors(one), one.accepted, place)
+        total = found if total is None else total + found
+    return total
+
+
+def facts_of(
+    out: Path, entry: Mapping[str, Any], parts: Sequence[Part]
+) -> tuple[Clusters | None, Errors | None]:
+    """The sums of `clusters` and every error of a recorded estimator from its intact parts, read
+    once; None for both if they were stored without fixes.
+    """
+    total: Clusters | None = None
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    places: np.ndarray | None = None
+    for one, places in each_part(out, entry, parts):
+        some = position_sums(*_errors(one), one.accepted, places)
+        total = some if total is None else total + some
+        z = np.sqrt(np.maximum(one.error_3d_m**2 - one.error_xy_m**2, 0))
+        known = (np.where(one.accepted, e, np.nan) for e in (one.error_xy_m, z))
+        found.append((*known, one.outcome == Outcome.OK))
+    if total is None:
+        return None, None
+    xy, z, ok = (np.concatenate(arrays) for arrays in zip(*found))
+    return total, Errors(xy, z, ok, places)
+
+
+def influences_of(
+    out: Path, entry: Mapping[str, Any], parts: Sequence[Part], wanted: np.ndarray, metric: str
+) -> np.ndarray | None:
+    """Influences (N, P) of each position in each of the `wanted` (N,) replications on the mean of a
+    clustered `metric` (see clusters.influences); None without fixes.
+    """
+    found = [
+        influences(metric, *_errors(one), one.accepted, place) * len(one.outcome) / len(wanted)
+        for one, place in each_part(out, entry, parts, wanted)
+    ]
+    return np.concatenate(found) if found else None
+
+
+def _errors(one: Fixes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return one.error_3d_m, one.error_xy_m, one.iterations
+
+
+def each_part(
+    out: Path, entry: Mapping[str, Any], parts: Sequence[Part], wanted: np.ndarray | None = None
+) -> Iterator[tuple[Fixes, np.ndarray]]:
+    """The fixes of the intact parts of a recorded estimator, part by part, with the number of the
+    position (T,) of each fix; nothing if they were stored without fixes or positions. `wanted` (N,)
+    are the numbers of the replications; None: all.
+    """
     import pyarrow as pa
 
     if not any("fixes" in part.files for part in parts):
-        return None
-    total: Clusters | None = None
-    place: np.ndarray | None = None
+        return
     for part in noted_parts(out, entry, "fixes", ["replication", *_FOR_SUMS], parts):
+        some = part
         if wanted is not None:
-            part = part.filter(pa.array(np.isin(part["replication"].to_numpy(), wanted)))
-            if len(part) == 0:
-                continue
-        one = _fixes(part)
-        accepted = ~np.isin(one.outcome, [Outcome.FAILED, Outcome.REJECTED]) & np.isfinite(
-            one.error_xy_m
-        )
-        found = position_sums(one.error_3d_m, one.error_xy_m, one.iterations, accepted)
-        total, place = found if total is None else total + found, one.place
-    return None if total is None or place is None else total.grouped(place[0])
+            some = part.filter(pa.array(np.isin(part["replication"].to_numpy(), wanted)))
+        if len(some):
+            one = _fixes(some)
+            if one.place is None:
+                return
+            yield one, one.place[0]

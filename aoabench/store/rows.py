@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,9 @@ import numpy as np
 from aoabench.columns import FAILURES, IDENTITY, KINDS
 from aoabench.errors import RunError
 from aoabench.store import folder
+from aoabench.store.accuracy import Errors
 from aoabench.store.files import WRITING, provenance, save, schema, write_atomically
-from aoabench.store.fixes import clusters_of
+from aoabench.store.fixes import facts_of
 from aoabench.store.folder import noted_parts, replay_command
 from aoabench.store.parts import Part, intact_parts
 from aoabench.store.summary import commonest, summarise
@@ -116,9 +118,26 @@ class CellRows:
         if failed.any():
             mine = rows.filter(pa.array(failed)).to_pandas()
             self.failures += self._failures(name, mine, parts, reasons)
-        found = summarise(columns, clusters_of(self.out, entry, parts), reasons)
+        clusters, errors = facts_of(self.out, entry, parts)
+        if errors is None and entry["steps"]:
+            errors = self._errors_of_steps(name)
+        if errors is not None and np.isnan(columns["rmse_z_m"]).all():
+            errors = replace(errors, z=np.full(errors.z.shape, np.nan))  # a position in the plane
+        found = summarise(columns, clusters, reasons, errors)
         identity = {**{k: self.row[k] for k in IDENTITY[:4]}, "estimator": name}
         self.summary.append(identity | found)
+
+    def _errors_of_steps(self, name: str) -> Errors:
+        """Every error of an estimator whose steps are stored."""
+        names = ("error_xy_m", "error_z_m", "outcome")
+        found = []
+        for table in self._noted(name, "steps"):
+            R = len(table["replication"].unique())
+            found.append([table[n].to_numpy().reshape(R, -1) for n in names])
+        xy, z, outcome = (np.concatenate(arrays) for arrays in zip(*found))
+        positions = ~np.isin(outcome, ["failed", "rejected"])
+        xy, z = (np.where(positions, e, np.nan) for e in (xy, z))
+        return Errors(xy, z, outcome == "ok")
 
     def _failures(
         self, name: str, failed: pd.DataFrame, parts: Sequence[Part], reasons: pd.DataFrame | None

@@ -103,7 +103,7 @@ def _before(index: Index, changed: Collection[str]) -> _Before | None:
         rows = tidy.Earlier(generation.data("tidy"), counts)
         if any(
             version_in(table.schema.metadata, generation.out) < SCHEMA for table in kept.values()
-        ):
+        ) or not set(SUMMARY).issubset(kept["summary"].column_names):
             return None
     except (RunError, FileNotFoundError, KeyError):
         return None

@@ -12,15 +12,17 @@ Pair = tuple[Study, Item]
 
 
 def chosen(names: Sequence[str], only: str | None, known: Sequence[str]) -> list[Pair]:
-    """The items of the named studies (`known` if none is named), in the order of their files; with
-    `only`, those alone that it lists, separated by commas, as ITEM or STUDY/ITEM.
+    """The items of the named studies (if none is named, those of `known` that need not be), in the
+    order of their files; with `only`, those alone that it lists, separated by commas, as ITEM or
+    STUDY/ITEM.
 
     Raises UserError for an unknown study or item.
     """
     for name in names:
         if name not in known:
             raise UserError(f"study {shorten(repr(name))}: unknown{_hint(name, known)}")
-    pairs = [(s, item) for s in map(study.load, dict.fromkeys(names or known)) for item in s.items]
+    studies = map(study.load, dict.fromkeys(names or known))
+    pairs = [(s, item) for s in studies if names or not s.named_only for item in s.items]
     if only is None:
         return pairs
     words = [word.strip() for word in only.split(",")]

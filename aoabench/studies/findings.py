@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aoabench.errors import UserError
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.store.files import write_atomically
 from aoabench.studies import stored
 from aoabench.studies.statements import headline

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aoabench.maths.estimate import Estimate
 from aoabench.maths.intervals import normal_quantile
-from aoabench.maths.statistics import Estimate
 from aoabench.studies import stored, verdict
 from aoabench.studies.claims import CLASSES, Claim, Reading
 from aoabench.studies.study import Item, Study

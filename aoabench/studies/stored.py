@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aoabench.errors import RunError, WriteError
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.store.files import read_provenance, read_table
 from aoabench.studies.places import Places
 from aoabench.studies.study import Item, Study, figure_path, table_path

@@ -59,6 +59,7 @@ class Study:
     schematic: str = ""
     unclaimed: Mapping[str, str] = field(default_factory=dict)  # see claims.Claims
     findings: tuple[str, ...] = ()  # templates of sentences, see findings.filled
+    named_only: bool = False  # computed only by a command that names the study
 
     @property
     def numbers(self) -> ModuleType:
@@ -100,6 +101,7 @@ def load(name: str) -> Study:
         spec.get("schematic", ""),
         found.unclaimed,
         tuple(spec.get("finding", ())),
+        spec.get("named_only", False),
     )
 
 

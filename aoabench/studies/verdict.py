@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from aoabench.maths.estimate import Estimate
 from aoabench.maths.intervals import normal_quantile
-from aoabench.maths.statistics import Estimate
 from aoabench.studies.claims import Limits
 
 HOLDS = "holds"

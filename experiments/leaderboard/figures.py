@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from aoabench.report.plots import BOUND, BOUND_LABEL, PAGE, new
+from aoabench.report.plots import BOUND, BOUND_LABEL, PAGE, error_bars, new
 from aoabench.report.text import number_text
 
 if TYPE_CHECKING:
@@ -47,7 +47,8 @@ def _panel(axis: Any, rows: pd.DataFrame) -> None:
     y = range(len(rows))
     seen = rows["rmse_m"].where(rows["rmse_m"] <= end)
     axis.barh(y, rows["rmse_m"].clip(upper=end), height=0.7, color=colours)
-    axis.errorbar(seen, y, xerr=3 * rows["rmse_se"], fmt="none", ecolor="black", elinewidth=0.8)
+    bars = error_bars(rows, "rmse_m", "rmse_se")
+    axis.errorbar(seen, y, xerr=bars, fmt="none", ecolor="black", elinewidth=0.8)
     for column, marker in (("error_q50_m", "|"), ("error_q95_m", "d")):
         axis.plot(rows[column].where(rows[column] <= end), y, marker, color="black", ms=4)
     for i, r in zip(y, rows.to_dict("records")):

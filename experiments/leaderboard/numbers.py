@@ -14,7 +14,7 @@ from aoabench import bounds
 from aoabench.cell import Cell
 from aoabench.engine.tiles import Draws
 from aoabench.maths import statistics
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.noise.angular import NormalAngles
 from aoabench.roles import Estimator
 from aoabench.store.fixes import Fixes
@@ -118,7 +118,7 @@ def _over_replications(errors: Mapping[str, np.ndarray]) -> tuple[Any, ...]:
 
     def compare(name: str, best: str) -> Excess:
         pair = statistics.paired(each[name], each[best])
-        return pair.percent, pair.percent_interval()
+        return pair.percent, pair.percent.interval()
 
     n = len(next(iter(each.values())))
     rmse = {name: statistics.mean(values) for name, values in each.items()}

@@ -12,12 +12,13 @@ from scipy import stats
 import aoabench
 from aoabench.cli.main import dispatch, main
 from aoabench.columns import REPLICATIONS
-from aoabench.maths import intervals
+from aoabench.maths import intervals, statistics
 from aoabench.report.comparison import lines
-from aoabench.store import compare, manifest, tables
+from aoabench.store import compare, index, manifest, tables
+from aoabench.store.clusters import influences, position_sums
 from aoabench.store.files import write_frame
-from aoabench.store.fixes import clusters, fixes
-from aoabench.store.summary import position_sums
+from aoabench.store.fixes import clusters, fixes, influences_of
+from aoabench.store.parts import intact_parts
 
 FILTERS = "filter=[ekf_vmf,ukf_vmf,ekf_ae_fitted]"
 
@@ -65,13 +66,18 @@ def test_rows_are_paired_tests_over_replications(swept):
             index="replication", columns="estimator", values="rmse_3d_m"
         )
         a, b = mine[row["estimator"]], mine["ekf_vmf"]
-        assert row["p"] == pytest.approx(stats.ttest_rel(a, b).pvalue, rel=1e-6, abs=0)
+        shown = statistics.paired(a, b).percent
+        assert (row["change_low"], row["change_high"]) == shown.interval()
+        assert row["p"] == shown.p_value(), "the test inverts the interval that is shown"
+        student = stats.ttest_rel(a, b).pvalue
+        assert (row["p"] < 0.05) == (not row["change_low"] <= 0 <= row["change_high"])
+        assert row["p"] == pytest.approx(student, abs=0.1), "skewness moves it"
         assert row["change"] == pytest.approx(100 * (a.mean() / b.mean() - 1))
         assert (row["n"], row["units"], row["by"]) == (60, 60, "replication")
         se, _ = intervals.bootstrap(
             lambda x, y: 100 * (x.mean() / y.mean() - 1), a, b, resamples=500
         )
-        assert row["change_high"] - row["change_low"] == pytest.approx(2 * 2.0 * se, rel=0.15)
+        assert row["change_high"] - row["change_low"] == pytest.approx(2 * 2.1 * se, rel=0.15)
     assert list(table["p_holm"]) == list(intervals.holm(table["p"]))
     worse = table[table["estimator"] == "ekf_ae_fitted"]
     assert set(worse["verdict"]) == {"worse"}
@@ -112,9 +118,13 @@ def test_the_line_says_better_by_how_much_and_how_surely(swept, tmp_path, capsys
     kept = pd.read_parquet(out / "compare.parquet")
     pd.testing.assert_frame_equal(kept, aoabench.compare(out, "ekf_vmf"), check_dtype=False)
     undecided = kept[kept["verdict"] == "no difference seen"]
-    about = [60 * ((stats.norm.ppf(1 - 0.025 / 8) + stats.norm.ppf(0.8)) * se) ** 2
-             for se in (undecided["change_high"] - undecided["change_low"]) / 2 / stats.t.ppf(0.975, 59)]  # fmt: skip
-    assert list(undecided["needed"]) == pytest.approx(about)
+    values = aoabench.load(out).pivot(
+        index=["cell", "replication"], columns="estimator", values="rmse_3d_m"
+    )
+    z = stats.norm.ppf(1 - 0.025 / 8) + stats.norm.ppf(0.8)
+    pairs = [values.loc[cell] for cell in undecided["cell"]]
+    ses = [statistics.paired(v["ekf_ae_fitted"], v["ekf_vmf"]).percent.se for v in pairs]
+    assert list(undecided["needed"]) == pytest.approx([60 * (z * se) ** 2 for se in ses])
 
 
 def test_shared_positions_cluster_the_interval(grid):
@@ -157,10 +167,15 @@ def test_clusters_of_some_replications_are_those_of_their_fixes(grid):
     f, some = fixes(grid, cell, "ls"), np.array([0, 3, 4])
     found = clusters(grid, cell, "ls", some)
     picked = [getattr(f, name)[some] for name in ("error_3d_m", "error_xy_m", "iterations")]
-    expected = position_sums(*picked, ~np.isin(f.outcome[some], [3, 4]))
+    expected = position_sums(*picked, f.accepted[some])
     assert found.replications == 3
-    assert np.allclose(found.influence("rmse_xy_m"), expected.influence("rmse_xy_m"))
-    assert found.influence("nees") is None
+    assert np.allclose(found.influence, expected.influence)
+    assert np.allclose(found.totals, expected.totals, equal_nan=True)
+    entry = index.entry_of(grid, cell, "ls")
+    parts = intact_parts(grid, entry["key"])
+    cells = influences_of(grid, entry, parts, some, "rmse_xy_m")
+    assert np.allclose(cells, influences("rmse_xy_m", *picked, f.accepted[some]))
+    assert np.allclose(3 * cells.sum(axis=0), expected.influence[1])
 
 
 def test_failure_rates_are_compared_in_points(swept, tmp_path, capsys):

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from aoabench.errors import UserError
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.store.files import write_frame
 from aoabench.studies import findings, reproduce, statements, study
 from aoabench.studies.places import Places

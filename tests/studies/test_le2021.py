@@ -13,7 +13,7 @@ import yaml
 
 from aoabench.config import catalogue
 from aoabench.config.compose import compose_cells
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.roles import Estimator
 from aoabench.store.fixes import Fixes
 from aoabench.studies import study

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from aoabench.maths import statistics
+from aoabench.maths.estimate import Estimate
 from aoabench.maths.intervals import normal_quantile
-from aoabench.maths.statistics import Estimate
 from aoabench.studies.claims import QUANTIFIERS, Limits
 from aoabench.studies.verdict import (
     DEPENDS,

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 
 from aoabench import resources
+from aoabench.maths.estimate import Estimate, stored
 from aoabench.maths.intervals import normal_quantile
-from aoabench.maths.statistics import Estimate
+from aoabench.report.plots import error_bars
 
 NAMES = {
     "single_anchor_1": "A1",
@@ -46,14 +47,14 @@ PRINTED_AT = (0.4, 2.0)  # R_sigma at which the paper prints numbers of the filt
 
 def estimate(row: Any, key: str) -> Estimate:
     """A number of a table's row with its standard error, column KEY_se."""
-    return Estimate(float(row[key]), float(row[f"{key}_se"]))
+    return stored(row, key)
 
 
 def points(
     axis: Any, x: pd.Series, rows: pd.DataFrame, key: str, scale: float = 1, **style: Any
 ) -> None:
-    """Draw a column against x with bars of three standard errors."""
-    axis.errorbar(x, scale * rows[key], yerr=3 * scale * rows[f"{key}_se"], **style)
+    """Draw a column against x with error bars."""
+    axis.errorbar(x, scale * rows[key], yerr=scale * error_bars(rows, key), **style)
 
 
 def intervals(

@@ -11,7 +11,7 @@ import pandas as pd
 
 from aoabench import bounds
 from aoabench.maths import statistics
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.roles import Scenario
 from aoabench.types import Anchors
 

@@ -11,7 +11,7 @@ import yaml
 
 from aoabench.cell import Cell
 from aoabench.maths import statistics
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 

@@ -12,8 +12,8 @@ import pandas as pd
 from aoabench import resources
 from aoabench.engine.tiles import Draws
 from aoabench.maths import statistics
+from aoabench.maths.estimate import Estimate
 from aoabench.maths.geometry import in_frames, to_azel, wrap
-from aoabench.maths.statistics import Estimate
 from aoabench.roles import Noise, Scenario
 from aoabench.store.fixes import Fixes
 

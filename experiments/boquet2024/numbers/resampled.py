@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 
 from .common import rms
 

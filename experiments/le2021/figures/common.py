@@ -6,8 +6,8 @@ from typing import Any
 
 import pandas as pd
 
-from aoabench.maths.statistics import Estimate
-from aoabench.report.plots import GREY, log_bars
+from aoabench.maths.estimate import Estimate
+from aoabench.report.plots import GREY, error_bars
 
 NAMES = {
     "ls": "(a) least squares",
@@ -33,8 +33,8 @@ SIGMA = "deviation of the angles [deg]"
 
 
 def curve(axis: Any, rows: pd.DataFrame, x: str, y: str, se: str, **style: Any) -> None:
-    """Draw a column against another with three standard errors."""
-    bars = log_bars(rows[y], rows[se])
+    """Draw a column against another with error bars."""
+    bars = error_bars(rows, y, se, log=True)
     axis.errorbar(rows[x], rows[y], yerr=bars, capsize=2, elinewidth=0.8, **style)
 
 

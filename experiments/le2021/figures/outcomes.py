@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.statistics import Estimate
-from aoabench.report.plots import PAGE, new
+from aoabench.maths.estimate import Estimate
+from aoabench.report.plots import PAGE, error_bars, new
 
 from .common import NAMES, STYLES, read
 
@@ -32,14 +32,14 @@ def table1(frame: pd.DataFrame) -> Figure:
         ),
     ):
         scale = 100 if column == "share" else 1
-        se = scale * rows["rmse_se" if column == "rmse_m" else f"{column}_se"].fillna(0)
+        bars = scale * error_bars(rows, column, "rmse_se" if column == "rmse_m" else "", log=True)
         for i in range(len(rows)):
             value = scale * rows[column].iloc[i]
             if value > 0:
                 axis.errorbar(
                     value,
                     y[i],
-                    xerr=min(3 * se.iloc[i], 0.9 * value),
+                    xerr=np.nan_to_num(bars[:, i : i + 1]),
                     fmt="o",
                     color=colours[i],
                     capsize=2,

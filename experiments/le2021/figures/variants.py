@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from aoabench.maths.statistics import Estimate
-from aoabench.report.plots import BOUND_LABEL, PAGE, bound, bound_ratio, new
+from aoabench.maths.estimate import Estimate
+from aoabench.report.plots import BOUND_LABEL, PAGE, bound, bound_ratio, error_bars, new
 
 from .common import NAMES, OTHERS, SIGMA, STYLES, curve, of, read
 
@@ -35,10 +35,9 @@ def errata(frame: pd.DataFrame) -> Figure:
         rows = of(frame[frame["variant"] == variant], "ml_kcorr")
         curve(left, rows, "sigma_deg", "rmse_m", "rmse_se", label=label, **style)
         if variant in ("sign", "invariant"):
-            above, se = rows["above_meant_percent"], rows["above_meant_se"]
-            right.errorbar(
-                rows["sigma_deg"], above, yerr=3 * se, capsize=2, elinewidth=0.8, **style
-            )
+            above = rows["above_meant_percent"]
+            bars = error_bars(rows, "above_meant_percent", "above_meant_se")
+            right.errorbar(rows["sigma_deg"], above, yerr=bars, capsize=2, elinewidth=0.8, **style)
     rows = of(frame[frame["variant"] == "meant"], "ml_kcorr")
     bound(left, rows["sigma_deg"], rows["bound_m"])
     left.set(xlabel=SIGMA, ylabel="RMSE of (d) [m]", yscale="log")

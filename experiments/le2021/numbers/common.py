@@ -10,7 +10,7 @@ from aoabench import bounds
 from aoabench.cell import Cell
 from aoabench.engine.tiles import Draws
 from aoabench.maths import statistics
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome, Reason
 

@@ -11,7 +11,7 @@ from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
 from aoabench.engine.tiles import Draws, estimate_tile
 from aoabench.maths import statistics
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench.maths import statistics
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 

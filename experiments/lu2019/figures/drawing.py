@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from aoabench.report.plots import GREY, PAGE, log_bars, new
+from aoabench.report.plots import GREY, PAGE, error_bars, new
 
 from .values import consistent
 
@@ -119,7 +119,7 @@ def _errors(axis: Any, rows: pd.DataFrame, name: str, part: str) -> None:
     """
     sigma, value = rows["an_sigma_m"], rows[f"rmse_{part}"]
     seen = value.where(value <= SHOWN_M[1])
-    bars = log_bars(seen, rows[f"rmse_{part}_se"].fillna(0))
+    bars = error_bars(rows, f"rmse_{part}", log=True)
     axis.errorbar(sigma, seen, yerr=bars, capsize=2, elinewidth=0.8, **STYLES[name])
     if f"median_{part}" in rows:
         look = {**STYLES[name], "ls": ":", "lw": 1.0, "mfc": "white", "ms": 3.5}
@@ -160,9 +160,10 @@ def errata(frame: pd.DataFrame) -> Figure:
             rows = part[part["estimator"] == name].set_index("variant")
             present = [v for v in rows_of if v in rows.index]
             y = [-rows_of.index(v) + 0.2 * (1 - k) for v in present]
-            value, se = rows.loc[present, "median_m"], rows.loc[present, "median_se"].fillna(0)
+            shown = rows.loc[present]
+            bars = error_bars(shown, "median_m", "median_se", log=True)
             look = {**STYLES[name], "ls": "", "ms": 4, "capsize": 2, "elinewidth": 0.8}
-            axis.errorbar(value, y, xerr=log_bars(value, se), label=label, **look)
+            axis.errorbar(shown["median_m"], y, xerr=bars, label=label, **look)
         axis.set(
             xscale="log", xlabel="median 3-D RMSE [m]", title=f"access nodes known to {sigma:g} m"
         )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 
 Values = dict[str, Estimate]
 THRESHOLD_M = 0.5  # the uncertainty beyond which the paper prefers the centroid

@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from aoabench.maths.statistics import Estimate
+from aoabench.maths.estimate import Estimate
 from aoabench.report.plots import COLOURS, LABELS
 
 TITLES = {"ae_flip": "Model I: normal angles, flipped", "vmf": "Model II: von Mises-Fisher"}

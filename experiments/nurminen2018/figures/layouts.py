@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.statistics import Estimate
-from aoabench.report.plots import LABELS, PAGE, new
+from aoabench.maths.estimate import Estimate
+from aoabench.report.plots import LABELS, PAGE, error_bars, new
 
 from .common import ORDER, TITLES, counts, label, numbers_of
 
@@ -35,12 +35,15 @@ def layouts(frame: pd.DataFrame) -> Figure:
 
 
 def _both_data_models(axis: Any, rows: pd.DataFrame, order: list[Any], column: str) -> None:
-    """Draw a difference in percent with three standard errors, a line for each of `order`."""
+    """Draw a difference in percent with error bars, a line for each of `order`."""
     for noise, marker, shift in (("ae_flip", "o", 0.15), ("vmf", "s", -0.15)):
         shown = rows[rows["noise"] == noise].loc[order]
-        value, se = shown[f"{column}_percent"], shown[f"{column}_se"]
+        value, bars = (
+            shown[f"{column}_percent"],
+            error_bars(shown, f"{column}_percent", f"{column}_se"),
+        )
         look = {"ms": 3, "capsize": 1.5, "elinewidth": 0.8, "label": TITLES[noise]}
-        axis.errorbar(value, np.arange(len(order)) + shift, xerr=3 * se, fmt=marker, **look)
+        axis.errorbar(value, np.arange(len(order)) + shift, xerr=bars, fmt=marker, **look)
     axis.axvline(0, color="black", lw=0.8, ls=":")
 
 

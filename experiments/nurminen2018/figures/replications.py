@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.statistics import Estimate
-from aoabench.report.plots import COLOURS, GREY, LABELS, MARKERS, PAGE, boxes, new
+from aoabench.maths.estimate import Estimate
+from aoabench.report.plots import COLOURS, GREY, LABELS, MARKERS, PAGE, boxes, error_bars, new
 
 from .common import MODELS, ORDER, TITLES, colour, counts, label, numbers_of
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def frames(frame: pd.DataFrame) -> Figure:
-    """Mean RMSE with three standard errors of each filter in each anchor frame."""
+    """Mean RMSE with error bars of each filter in each anchor frame."""
     figure, axis = new(PAGE, 2.8)
     estimators = list(frame["estimator"].unique())[::-1]
     turns = list(frame["frame_rpy_deg"].unique())
@@ -25,7 +25,13 @@ def frames(frame: pd.DataFrame) -> Figure:
         rows = frame[frame["frame_rpy_deg"] == turn].set_index("estimator").loc[estimators]
         y = np.arange(len(estimators)) + 0.22 * (1 - k)
         look = {"capsize": 2, "elinewidth": 0.8, "label": f"roll, pitch, yaw {turn} deg"}
-        axis.errorbar(rows["rmse_mean_3d_m"], y, xerr=3 * rows["se_m"], fmt=marker, **look)
+        axis.errorbar(
+            rows["rmse_mean_3d_m"],
+            y,
+            xerr=error_bars(rows, "rmse_mean_3d_m", "se_m"),
+            fmt=marker,
+            **look,
+        )
     axis.set_yticks(range(len(estimators)), [label(name) for name in estimators])
     axis.set(xlabel="mean 3-D RMSE [m]", xlim=(0, None))
     axis.grid(axis="y", visible=False)
@@ -101,7 +107,7 @@ def readings(frame: pd.DataFrame) -> Figure:
         for about, marker, shift in (("truth", "o", 0.12), ("mean", "s", -0.12)):
             rows = frame[(frame["noise"] == noise) & (frame["about"] == about)]
             rows = rows.set_index("estimator").loc[names]
-            bars = 3 * rows["above_vmf_se"]
+            bars = error_bars(rows, "above_vmf_percent", "above_vmf_se")
             look = {"fmt": marker, "ms": 3.5, "capsize": 2, "elinewidth": 0.8}
             look["label"] = f"deviations about the {about}"
             y = np.arange(len(names)) + shift
@@ -130,7 +136,7 @@ def particles(frame: pd.DataFrame) -> Figure:
             rows = frame[(frame["noise"] == noise) & (frame["estimator"] == f"pf_{model}")]
             look = {"color": COLOURS[model], "marker": MARKERS[model]}
             look |= {"capsize": 2, "elinewidth": 0.8, "label": f"PF-{LABELS[model]}"}
-            value, bars = rows["rmse_mean_3d_m"], 3 * rows["se_m"]
+            value, bars = rows["rmse_mean_3d_m"], error_bars(rows, "rmse_mean_3d_m", "se_m")
             axis.errorbar(rows["particles"], value, yerr=bars, **look)
         axis.set_title(TITLES[noise])
         axis.set(xlabel="particles", xscale="log")

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from aoabench.maths import directional, statistics
+from aoabench.maths.estimate import Estimate
 from aoabench.maths.geometry import to_unit, wrap
-from aoabench.maths.statistics import Estimate
 from aoabench.models.azel import adaptive_table
 from aoabench.noise.angular import FlippedAngles, VonMisesFisher
 

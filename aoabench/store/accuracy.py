@@ -1,0 +1,60 @@
+"""Quantities over fixes: quantiles of the error, shares within a distance, availability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aoabench.columns import CEP, ERROR_Z, WITHIN_M
+from aoabench.maths import intervals
+from aoabench.maths.intervals import Array, Interval
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Every fix of an estimator: error in the plane and in z, m (NaN without a position), and
+    whether it is ok, each (R, T).
+
+    place (T,): the number of each fix's position, where all replications share their positions.
+    """
+
+    xy: Array
+    z: Array
+    ok: np.ndarray
+    place: np.ndarray | None = None
+
+
+def accuracy(errors: Errors | None, n_ok: ArrayLike, n_fixes: ArrayLike) -> dict[str, float]:
+    """The columns of the summary that count fixes, with their 95 % intervals, from every fix;
+    without them availability alone, from the numbers of fixes (N,) of the replications.
+
+    Quantiles are over the fixes with a position; shares are of all fixes.
+    """
+    if errors is None:
+        ok, all_ = (np.asarray(n, dtype=float)[:, None] for n in (n_ok, n_fixes))
+        return _share("availability", ok, all_, None)
+    place, all_ = errors.place, np.ones(errors.ok.shape)
+    found = _share("availability", errors.ok.astype(float), all_, place)
+    for limit in WITHIN_M:
+        hits = (errors.xy <= limit).astype(float)
+        found |= _share(f"p_within_{limit}m", hits, all_, place)
+    for columns, error in ((CEP, errors.xy), (ERROR_Z, np.abs(errors.z))):
+        for name, probability in columns.items():
+            known = error[np.isfinite(error)]
+            if len(known):
+                ends = intervals.cep_interval(error, probability, place)
+                found |= _three(name, float(np.quantile(known, probability)), ends)
+    return found
+
+
+def _share(name: str, hits: Array, tries: Array, place: np.ndarray | None) -> dict[str, float]:
+    if not tries.sum() > 0:
+        return {}
+    value = float(hits.sum() / tries.sum())
+    return _three(name, value, intervals.share_interval(hits, tries, place))
+
+
+def _three(name: str, value: float, ends: Interval) -> dict[str, float]:
+    return {name: value, f"{name}_low": ends[0], f"{name}_high": ends[1]}
