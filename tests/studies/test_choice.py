@@ -24,7 +24,11 @@ def test_a_list_names_items_of_all_studies_or_of_one():
     ]
     assert names(chosen(["lu2019"], "fig4, table1", KNOWN)) == ["lu2019/table1", "lu2019/fig4"]
     assert names(chosen(["lu2019", "lu2019"], "lu2019/fig4,fig4", KNOWN)) == ["lu2019/fig4"]
-    assert len(chosen([], None, KNOWN)) == sum(len(study.load(n).items) for n in KNOWN)
+    everything = [study.load(n) for n in KNOWN]
+    default = [s for s in everything if not s.named_only]
+    assert [s.name for s in everything if s.named_only] == ["coverage"]
+    assert len(chosen([], None, KNOWN)) == sum(len(s.items) for s in default)
+    assert len(chosen(["coverage"], None, KNOWN)) == len(study.load("coverage").items)
 
 
 @pytest.mark.parametrize(

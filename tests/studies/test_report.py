@@ -105,6 +105,10 @@ def test_claims_are_found_by_the_figures_of_a_full_run():
         "adaptivity": s.numbers.adaptivity(
             made_up_runs([f"square_track{v}" for v in ("", "_far", "_corner", "_sides", "_upright")])
         ),
+        "readings": s.numbers.readings(pd.concat([
+            made_up_runs(["square_track"]).assign(**{"filter.pf_ae_adaptive.measurement.adaptive_about": about})
+            for about in ("truth", "mean")
+        ])),
         "particles": s.numbers.particles(made_up_runs(["square_track"], [3162, 10000])),
         "table1": s.numbers.table1("quick"), "fig1": s.numbers.fig1("quick"), "fig2": s.numbers.fig2("quick"),
     }  # fmt: skip

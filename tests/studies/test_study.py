@@ -1,6 +1,5 @@
 """Loading a study: its YAML files and its modules."""
 
-import pandas as pd
 
 from aoabench.studies import reproduce, study
 
@@ -49,21 +48,3 @@ def test_every_item_of_every_study_has_its_functions():
             assert callable(getattr(s.numbers, item.name)), f"{name} {item.name}"
             if item.figure:
                 assert callable(getattr(s.figures, item.name)), f"{name} {item.name}"
-
-
-def test_a_study_that_must_be_named_is_computed_only_then(tmp_path, monkeypatch):
-    computed = []
-
-    def compute(s, item, *rest):
-        computed.append(s.name)
-        return pd.DataFrame({"a": [1]}), None
-
-    monkeypatch.setattr(reproduce, "compute", compute)
-    monkeypatch.setattr(reproduce, "draw", lambda *given: None)
-    named = [name for name in study.names() if study.load(name).named_only]
-    assert named == ["coverage"]
-    reproduce.reproduce([], "quick", None, tmp_path, print)
-    assert set(computed) == set(study.names()) - {"coverage"}
-    computed.clear()
-    reproduce.reproduce(["coverage"], "quick", None, tmp_path, print)
-    assert computed == ["coverage"]
