@@ -78,7 +78,7 @@ def run_text(found: Finished) -> Iterator[str]:
     clustered = (found.summary["se_by"] == "position").any()
     yield (
         "pooled: over all fixes; mean, median: of the replications' RMSE, mean as in compare; "
-        f"[95 % interval{', clustered by position' if clustered else ''}]"
+        f"[95 % interval{', clustered by position but of the median' if clustered else ''}]"
     )
     yield from heavy_tails_text(heavy_tails(found.summary))
     yield from not_ok_text(not_ok(found.summary))

@@ -131,6 +131,9 @@ def test_json_and_text_show_the_same_numbers(call, tmp_path):
     ):
         assert interval_text(*(row[f"rmse_{name}_m{end}"] for end in ("", "_low", "_high"))) in text
         assert title in text
+    assert "median RMSE 3-D" in text
+    assert f"{row['rmse_q50_3d_m']:.4g} [0, inf]" in text, "three values bound no median"
+    assert row["rmse_q50_3d_m_high"] is None, "JSON has no infinity"
     assert "95 % interval" in text
     assert "not ok" not in text
     mean = f"mean rmse_3d_m of ekf_vmf = {row['rmse_mean_3d_m']:.4g}"

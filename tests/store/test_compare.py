@@ -147,6 +147,20 @@ def test_shared_positions_cluster_the_interval(grid):
     assert "positions" in "\n".join(lines(table.reset_index()))
 
 
+def test_heavy_tails_are_flagged_and_named(grid, capsys):
+    """An estimator without phase-jump correction, one position of which holds most of the squares."""
+    summary = tables.shown(grid, "summary")["summary"].set_index("estimator")
+    assert list(summary["heavy_tail"]) == [False, False, True]
+    assert summary.loc["ml_atan2", "largest_share"] > 0.3
+    table = aoabench.compare(grid, "ml_kcorr").set_index("estimator")
+    assert dict(table["heavy_tail"]) == {"ls": False, "ml_atan2": True}
+    assert not aoabench.compare(grid, "ml_kcorr", "iterations")["heavy_tail"].any()
+    text = said(capsys, grid, "--baseline", "ml_kcorr")
+    assert "  ml_atan2: the largest position holds " in text
+    assert "CEP50" in text
+    assert "heavy tails" not in said(capsys, grid, "--metric", "failure_rate")
+
+
 def test_shared_positions_cluster_iterations_too_but_not_failures(grid):
     table = aoabench.compare(grid, "ml_kcorr", "iterations").set_index("estimator")
     assert table.loc["ml_atan2", "by"] == "position"
