@@ -1,4 +1,8 @@
-"""How many replications an item needs, so that its undecided claims are decided."""
+"""How many replications an item needs, so that its undecided claims are decided.
+
+Each time that replications are added is one more chance to be wrong: a false claim of which the
+interval of 99.7 % is looked at k times holds in at most 0.15 k %.
+"""
 
 from __future__ import annotations
 
