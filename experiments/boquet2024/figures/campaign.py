@@ -70,7 +70,7 @@ def fig6(frame: pd.DataFrame) -> Figure:
 def fig6_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """Each measure for each R_sigma, its steps from one R_sigma to the next, the rise of RMSE and
     CEP90 from R_sigma 0.2 to 2, and how much less R_d falls from 1.6 to 1.8 than from 0.6 to 0.8.
-    Steps of P(error <= 1 m) are in percent points.
+    Steps of P(error <= 1 m) are in percentage points.
     """
     found = {}
     measures = [name for name in frame if f"{name}_se" in frame]

@@ -46,7 +46,7 @@ def ranking(frame: pd.DataFrame) -> Figure:
 
 
 def ranking_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Differences of P(error <= 1 m) in percent points."""
+    """Differences of P(error <= 1 m) in percentage points."""
     return {
         f"ranking/{r['at']}/{r['method']}/{r['other']}": estimate(r, "more").percent()
         for r in frame.to_dict("records")
@@ -132,7 +132,7 @@ def boxes_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Per erratum: P(error <= 1 m) corrected minus as the paper ran it, in percent points, and the
+    """Per erratum: P(error <= 1 m) corrected minus as the paper ran it, in percentage points, and the
     share of the packets whose fix changes.
     """
     return {

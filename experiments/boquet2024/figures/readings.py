@@ -39,7 +39,7 @@ def readings(frame: pd.DataFrame) -> Figure:
     axis.axvline(0, color="black", lw=1, ls=":")
     axis.set_yticks(range(len(names)), [name.replace(" deg", "°") for name in names])
     axis.invert_yaxis()
-    axis.set(xlabel="P(error ≤ 1 m) of DF minus that of A best [percent points]")
+    axis.set(xlabel="P(error ≤ 1 m) of DF minus that of A best [percentage points]")
     figure.legend(loc="outside upper center", ncols=2)
     return figure
 

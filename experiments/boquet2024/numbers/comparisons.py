@@ -158,7 +158,7 @@ def unlike_sets(a: Estimates, b: Estimates) -> tuple[np.ndarray, np.ndarray]:
 
 
 def errata(runs: Runs) -> pd.DataFrame:
-    """The effect of each erratum alone at R_sigma = 1, in percent points.
+    """The effect of each erratum alone at R_sigma = 1, in percentage points.
 
     `more` is P(error <= 1 m) with the erratum corrected minus as the paper ran it; `moved` is the
     share of the packets whose fix changes.
