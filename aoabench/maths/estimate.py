@@ -120,10 +120,11 @@ class Estimate:
 
 def stored(row: Mapping[Any, Any], name: str, se: str = "") -> Estimate:
     """The estimate that `Estimate.columns` stored in a row of a table; normal where the skewness
-    and the units are absent or NaN.
+    and the units are absent or NaN. Raises KeyError without a value or a standard error.
     """
-    error, skew, units = (float(row.get(column, math.nan)) for column in _names(name, se))
-    value = float(row[name])
+    of_error, *more = _names(name, se)
+    value, error = float(row[name]), float(row[of_error])
+    skew, units = (float(row.get(column, math.nan)) for column in more)
     if math.isnan(skew) or math.isnan(units):
         return Estimate(value, error)
     return Estimate(value, error, skew, units)

@@ -94,9 +94,11 @@ def bound_ratio(axis: Any, label: str | None = None) -> None:
 BARS = math.erf(3 / math.sqrt(2))  # confidence of error bars: three standard errors if normal
 
 
-def error_bars(rows: pd.DataFrame, name: str, se: str = "", log: bool = False) -> np.ndarray:
+def error_bars(
+    rows: pd.DataFrame, name: str, se: str = "", log: bool = False, confidence: float = BARS
+) -> np.ndarray:
     """Lengths (2, N) of error bars below and above a column's estimates, from their intervals of
-    the confidence BARS (see `Estimate.columns`, whose names are `name` and `se`).
+    a confidence (see `Estimate.columns`, whose names are `name` and `se`).
 
     With `log`, lower bars are cut to end above 0, as a logarithmic axis requires.
     """
@@ -104,7 +106,7 @@ def error_bars(rows: pd.DataFrame, name: str, se: str = "", log: bool = False) -
 
     found = [stored(row, name, se) for row in rows.to_dict("records")]
     value = np.array([e.value for e in found])
-    low, high = np.array([e.interval(BARS) for e in found]).reshape(-1, 2).T
+    low, high = np.array([e.interval(confidence) for e in found]).reshape(-1, 2).T
     below = np.minimum(value - low, 0.9 * abs(value)) if log else value - low
     return np.array([np.maximum(below, 0.0), np.maximum(high - value, 0.0)])
 

@@ -146,6 +146,8 @@ def test_estimates_survive_a_table():
     assert stored(plain.columns("x"), "x") == plain
     mixed = {"x": 2.0, "x_se": 0.3, "x_skew": math.nan, "x_units": math.nan}
     assert stored(mixed, "x") == plain, "of a table whose other rows are not normal"
+    with pytest.raises(KeyError):
+        stored({"x": 3.0}, "x")  # of a table of another version
 
 
 @pytest.mark.parametrize(("n", "least"), [(10, 0.905), (25, 0.915), (100, 0.925)])

@@ -72,7 +72,15 @@ def test_accuracy_is_the_plain_root_mean_square_over_the_bound(rng):
 
 @pytest.mark.parametrize(
     ("above", "word"),
-    [((1, 0.1), "lower"), ((-1, 0.1), "higher"), ((0.2, 0.1), "tie"), ((0, 0), "tie")],
+    [
+        ((1, 0.1), "lower"),
+        ((-1, 0.1), "higher"),
+        ((0.2, 0.1), "tie"),
+        ((0, 0), "tie"),
+        ((0.23, 0.1, 0.4, 1000), "lower"),  # 2.3 standard errors, skewed away from 0
+        ((-0.23, 0.1, -0.4, 1000), "higher"),
+        ((0.35, 0.1, -0.4, 1000), "tie"),  # 3.5, skewed towards 0
+    ],
 )
 def test_standing(above, word):
     assert N.curves.standing(Estimate(*above)) == word

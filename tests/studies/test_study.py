@@ -1,6 +1,5 @@
 """Loading a study: its YAML files and its modules."""
 
-
 from aoabench.studies import reproduce, study
 
 

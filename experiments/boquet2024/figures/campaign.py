@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
-from aoabench.report.plots import GREY, PAGE, new
+from aoabench.maths.estimate import Estimate, stored
+from aoabench.report.plots import GREY, PAGE, error_bars, new
 
 from .common import ERROR, NAMES, PRINTED, PRINTED_AT, STYLES, estimate, points, printed, raster
 
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 def _band(axis: Any, rows: pd.DataFrame, **style: Any) -> None:
     axis.plot(rows["error_m"], rows["cdf"], **style)
-    low, high = rows["cdf"] - 3 * rows["cdf_se"], rows["cdf"] + 3 * rows["cdf_se"]
+    below, above = error_bars(rows, "cdf")
+    low, high = rows["cdf"] - below, rows["cdf"] + above
     axis.fill_between(rows["error_m"], low, high, color=style["color"], alpha=0.12, lw=0)
 
 
@@ -175,7 +176,7 @@ def fig8_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     found = {}
     for r in frame.to_dict("records"):
         at = f"fig8/{r['method']}/{r['x_m']:g},{r['y_m']:g}"
-        found[at] = Estimate(r["median_m"], r["median_se"])
+        found[at] = stored(r, "median_m", "median_se")
         if r["method"] == "discrepancy":
             found[f"{at}/more"] = estimate(r, "more_m")
     return found

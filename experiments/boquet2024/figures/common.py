@@ -9,7 +9,6 @@ import pandas as pd
 
 from aoabench import resources
 from aoabench.maths.estimate import Estimate, stored
-from aoabench.maths.intervals import normal_quantile
 from aoabench.report.plots import error_bars
 
 NAMES = {
@@ -61,8 +60,8 @@ def intervals(
     axis: Any, rows: pd.DataFrame, key: str, y: np.ndarray, scale: float = 1, **style: Any
 ) -> None:
     """Draw a column as horizontal points with intervals at the level of the verdicts."""
-    half = scale * normal_quantile(CONFIDENCE) * rows[f"{key}_se"].to_numpy()
-    axis.errorbar(scale * rows[key].to_numpy(), y, xerr=half, **style)
+    bars = scale * error_bars(rows, key, confidence=CONFIDENCE)
+    axis.errorbar(scale * rows[key].to_numpy(), y, xerr=bars, **style)
 
 
 def raster(axis: Any, rows: pd.DataFrame, values: np.ndarray, **style: Any) -> Any:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
-from aoabench.report.plots import GREY, PAGE, new
+from aoabench.maths.estimate import Estimate, stored
+from aoabench.report.plots import GREY, PAGE, error_bars, new
 
 from .common import NAMES
 
@@ -27,7 +27,9 @@ def misfit(frame: pd.DataFrame) -> Figure:
     axis.axvline(0, color="black", lw=0.8)
     tolerance = (rows["ours"] - rows["printed"]) / rows["misfit"]
     look = {"fmt": "o", "ms": 4, "color": "#0072B2", "capsize": 2}
-    axis.errorbar(rows["misfit"], y, xerr=3 * rows["se"] / tolerance, **look)
+    axis.errorbar(
+        rows["misfit"], y, xerr=error_bars(rows, "ours", "se") / tolerance.to_numpy(), **look
+    )
     labels = [f"{r.what}: {r.printed:.3g} | {r.ours:.3g}" for r in rows.itertuples()]
     axis.set_yticks(y, labels)
     axis.set(xlabel="misfit in units of the fit's tolerance; labels: printed | ours")
@@ -36,10 +38,7 @@ def misfit(frame: pd.DataFrame) -> Figure:
 
 def misfit_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """Our number for each number that the noise is fitted to."""
-    return {
-        f"misfit/{r['id']}": Estimate(float(r["ours"]), float(r["se"]))
-        for r in frame.to_dict("records")
-    }
+    return {f"misfit/{r['id']}": stored(r, "ours", "se") for r in frame.to_dict("records")}
 
 
 def speed(frame: pd.DataFrame) -> Figure:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
+from aoabench.maths.estimate import Estimate, stored
 from aoabench.report.plots import GREY, PAGE, new
 
 from .common import ERROR, estimate, points, raster
@@ -102,10 +102,7 @@ def _rectangle() -> Any:
 def fig3a_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """95th percentiles of the errors, with positions clipped to the room and without clipping."""
     rows = frame[frame["kind"].isin(["clipped", "unclipped"])].to_dict("records")
-    return {
-        f"fig3a/{r['kind']}/{r['who']}": Estimate(float(r["q95_m"]), float(r["q95_se"]))
-        for r in rows
-    }
+    return {f"fig3a/{r['kind']}/{r['who']}": stored(r, "q95_m", "q95_se") for r in rows}
 
 
 def fig3b(frame: pd.DataFrame) -> Figure:
@@ -125,8 +122,8 @@ def fig3b(frame: pd.DataFrame) -> Figure:
 def fig3b_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """RMSE of the mean of A and B minus that of C alone, in m, at each point."""
     return {
-        f"fig3b/{r['x_m']:g},{r['y_m']:g}": Estimate(r["pair_m"], r["pair_se"])
-        - Estimate(r["single_m"], r["single_se"])
+        f"fig3b/{r['x_m']:g},{r['y_m']:g}": stored(r, "pair_m", "pair_se")
+        - stored(r, "single_m", "single_se")
         for r in frame.to_dict("records")
     }
 
@@ -208,4 +205,4 @@ def _crossing(rows: pd.DataFrame) -> Estimate:
     i = int(np.flatnonzero(rows["ratio"].to_numpy() < 1)[-1])
     a, b = rows.iloc[i], rows.iloc[i + 1]
     slope = (b["ratio"] - a["ratio"]) / (b["gamma"] - a["gamma"])
-    return Estimate(float(a["gamma"] + (1 - a["ratio"]) / slope), float(a["ratio_se"] / slope))
+    return (estimate(a, "ratio") - 1) * float(-1 / slope) + float(a["gamma"])

@@ -97,7 +97,7 @@ def _grid_rows(name: str, grid: np.ndarray, m: np.ndarray) -> Iterator[dict[str,
         ("inside", f"share of {name}'s grid within 5..95 % of our campaigns", _inside),
     ):
         ours = statistics.jackknife(m, partial(number, grid))
-        yield {"what": what, "id": f"{key}/{name}", "ours": ours.value, "se": ours.se}
+        yield {"what": what, "id": f"{key}/{name}", **ours.columns("ours", "se")}
 
 
 def _log_ratio(grid: np.ndarray, m: np.ndarray) -> float:
@@ -117,7 +117,7 @@ def _inside(grid: np.ndarray, m: np.ndarray) -> float:
 def _misfit(
     what: str, key: str, printed: float, ours: Estimate, tolerance: float
 ) -> dict[str, Any]:
-    row = {"what": what, "id": key, "printed": printed, "ours": ours.value, "se": ours.se}
+    row = {"what": what, "id": key, "printed": printed, **ours.columns("ours", "se")}
     return row | {"misfit": (ours.value - printed) / tolerance}
 
 
@@ -151,4 +151,4 @@ def _anchor_rows(errors: np.ndarray) -> Iterator[dict[str, Any]]:
             for key, (what, number) in numbers.items():
                 ours = statistics.jackknife(e, number)
                 where = f"angles/{angle}/{b + 1}/{key}"
-                yield {"what": what, "id": where, "ours": ours.value, "se": ours.se}
+                yield {"what": what, "id": where, **ours.columns("ours", "se")}

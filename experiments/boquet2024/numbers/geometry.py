@@ -126,9 +126,12 @@ def fig3b(scale: str) -> pd.DataFrame:
                 pair = np.stack([xy[:, 2], xy[:, :2].mean(axis=1)], axis=1)
                 squares.append(((pair - [x, y]) ** 2).sum(axis=-1))
             square = np.concatenate(squares)
-            found = [statistics.pooled_rmse(np.sqrt(square[:, i])) for i in (0, 1)]
-            rows.append((x, y, found[0].value, found[0].se, found[1].value, found[1].se))
-    return pd.DataFrame(rows, columns=["x_m", "y_m", "single_m", "single_se", "pair_m", "pair_se"])
+            row = {"x_m": x, "y_m": y}
+            for name, each in zip(("single", "pair"), square.T):
+                rmse = statistics.pooled_rmse(np.sqrt(each))
+                row |= rmse.columns(f"{name}_m", f"{name}_se")
+            rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def fig3c(scale: str) -> pd.DataFrame:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
+from aoabench.maths.estimate import Estimate, stored
 from aoabench.report.plots import GREY, error_bars
 
 NAMES = {
@@ -44,5 +44,5 @@ def of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def read(row: dict[str, Any], column: str, se: str = "") -> Estimate:
-    """The number in a column, with its standard error in the column `se` (default COLUMN_se)."""
-    return Estimate(row[column], row[se or f"{column}_se"])
+    """The number in a column; its standard error is in the column `se` (default COLUMN_se)."""
+    return stored(row, column, se)

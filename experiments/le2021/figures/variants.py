@@ -50,8 +50,8 @@ def errata(frame: pd.DataFrame) -> Figure:
 def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """RMSE above that of the corrected estimator, in percent."""
     return {
-        f"errata/{r['variant']}/{r['sigma_deg']:g}/{r['estimator']}": Estimate(
-            r["above_meant_percent"], r["above_meant_se"]
+        f"errata/{r['variant']}/{r['sigma_deg']:g}/{r['estimator']}": read(
+            r, "above_meant_percent", "above_meant_se"
         )
         for r in frame[frame["variant"] != "meant"].to_dict("records")
     }

@@ -30,19 +30,15 @@ from .common import (
 )
 
 GROSS = 10.0  # an error above this many times the square root of the bound at its position is gross
+LEVEL = 0.997  # of intervals
 
 
-def standing(above: Estimate, z: float = 3.0) -> str:
-    """Whether the proposed estimator's value is lower, higher or a tie, by the paired difference
-    `above` (another estimator's value minus its own).
+def standing(above: Estimate) -> str:
+    """Whether the proposed estimator's value is lower, higher or a tie, by the interval of the
+    confidence LEVEL of the paired difference `above` (another estimator's value minus its own).
     """
-    return (
-        "lower"
-        if above.value > z * above.se
-        else "higher"
-        if above.value < -z * above.se
-        else "tie"
-    )
+    low, high = above.interval(LEVEL)
+    return "lower" if low > 0 else "higher" if high < 0 else "tie"
 
 
 def accuracy(cell: Cell, fixes: dict[str, Fixes]) -> list[dict[str, Any]]:

@@ -134,9 +134,9 @@ def _errors(axis: Any, rows: pd.DataFrame, name: str, part: str) -> None:
 
 def _diverged(axis: Any, rows: pd.DataFrame, name: str) -> None:
     """Draw the share of a method's trials that diverge, in percent."""
-    share, bar = 100 * rows["diverged"], 300 * rows["diverged_se"]
+    share, (below, above) = 100 * rows["diverged"], 100 * error_bars(rows, "diverged")
     look = {"capsize": 2, "elinewidth": 0.8, **STYLES[name]}
-    axis.errorbar(rows["an_sigma_m"], share, yerr=[np.minimum(bar, share), bar], **look)
+    axis.errorbar(rows["an_sigma_m"], share, yerr=[np.minimum(below, share), above], **look)
 
 
 # --- Table II, errata, consistency ----------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
+from aoabench.maths.estimate import Estimate, stored
 from aoabench.report.plots import PAGE, new
 from aoabench.report.text import number_text
 
@@ -36,9 +36,9 @@ def readings_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
     found = {}
     for r in frame.to_dict("records"):
         key = f"readings/{r['setting']}/{r['an_error']}/{r['an_sigma_m']:g}/{r['estimator']}"
-        numbers = {"diverged": Estimate(r["diverged"], r["diverged_se"]).percent()}
+        numbers = {"diverged": stored(r, "diverged").percent()}
         for part in ("3d", "z"):
-            of = {n: Estimate(r[n], r[f"{n}_se"]) for n in (f"{m}_{part}" for m in MEASURES)}
+            of = {n: stored(r, n) for n in (f"{m}_{part}" for m in MEASURES)}
             numbers[f"median_{part}"] = of[f"median_{part}"]
             if r["estimator"] != "wcg":
                 numbers[f"worse_{part}"] = of[f"worse_{part}"].percent()

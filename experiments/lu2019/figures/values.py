@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
+from aoabench.maths.estimate import Estimate, combined, stored
 
 Values = dict[str, Estimate]
 THRESHOLD_M = 0.5  # the uncertainty beyond which the paper prefers the centroid
@@ -46,7 +46,7 @@ def fig3_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
     found = {}
     for r in frame[frame["kind"] != "cdf"].to_dict("records"):
         setting = "" if r["setting"] == "chosen" else f"{r['setting']}/"
-        found[f"fig3/{setting}{r['name']}"] = (Estimate(r["value"], r["se"]), float(r["trials"]))
+        found[f"fig3/{setting}{r['name']}"] = (stored(r, "value", "se"), float(r["trials"]))
     return found
 
 
@@ -78,10 +78,6 @@ def fig4_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
     return found | {k: v for r in crossings for k, v in _crossing(r, range_m).items()}
 
 
-def _read(row: Mapping[str, Any], name: str) -> Estimate:
-    return Estimate(row[name], row[f"{name}_se"])
-
-
 def _measures(row: Mapping[str, Any]) -> list[str]:
     """The errors that have a variance and that the row has."""
     return [
@@ -91,27 +87,27 @@ def _measures(row: Mapping[str, Any]) -> list[str]:
 
 def _of_all_trials(row: Mapping[str, Any]) -> Values:
     """Errors, divergence, and the excess of the mean over that of the centroid."""
-    found = {f"rmse_{part}": _read(row, f"rmse_{part}") for part in ("3d", "z")}
-    found |= {measure: _read(row, measure) for measure in _measures(row)}
-    found["diverged"] = _read(row, "diverged").percent()
+    found = {f"rmse_{part}": stored(row, f"rmse_{part}") for part in ("3d", "z")}
+    found |= {measure: stored(row, measure) for measure in _measures(row)}
+    found["diverged"] = stored(row, "diverged").percent()
     if row["estimator"] != "wcg":
-        found["mean_3d/above_wcg"] = _read(row, "above_wcg")
-        found["mean_z/above_wcg"] = _read(row, "above_wcg_z")
+        found["mean_3d/above_wcg"] = stored(row, "above_wcg")
+        found["mean_z/above_wcg"] = stored(row, "above_wcg_z")
     return found
 
 
 def _against_centroid(row: Mapping[str, Any], centroid: Mapping[str, Any]) -> Values:
-    """Excess of a filter's errors over the centroid's in percent, its standard error as if both
+    """Excess of a filter's errors over the centroid's in percent, by the delta method as if both
     were independent: too wide, as they share their draws.
     """
     if row["estimator"] == "wcg":
         return {}
     found = {}
     for measure in _measures(row):
-        a, b = _read(row, measure), _read(centroid, measure)
+        a, b = stored(row, measure), stored(centroid, measure)
         ratio = a.value / b.value
-        se = math.hypot(a.se, ratio * b.se) / b.value
-        found[f"{measure}/above_wcg"] = Estimate(100 * (ratio - 1), 100 * se)
+        parts = (a * (100 / b.value), b * (-100 * ratio / b.value))
+        found[f"{measure}/above_wcg"] = combined(100 * (ratio - 1), *parts)
     return found
 
 
@@ -127,10 +123,10 @@ def _growth(
     per_m = 1 / (row["an_sigma_m"] - THRESHOLD_M)
     found = {}
     for measure in _measures(row):
-        slope = per_m * (_read(row, measure) - _read(start, measure))
+        slope = per_m * (stored(row, measure) - stored(start, measure))
         found[f"{measure}/slope"] = slope
         if row["estimator"] != "wcg":
-            other = per_m * (_read(centroid, measure) - _read(centroid_start, measure))
+            other = per_m * (stored(centroid, measure) - stored(centroid_start, measure))
             found[f"{measure}/steeper"] = slope - other
     return found
 
@@ -190,8 +186,8 @@ def errata_values(frame: pd.DataFrame) -> Values:
     found = {}
     for r in frame.to_dict("records"):
         key = f"errata/{r['variant']}/{r['an_sigma_m']:g}/{r['estimator']}"
-        found[f"{key}/median"] = Estimate(r["median_m"], r["median_se"])
-        found[f"{key}/diverged"] = _read(r, "diverged").percent()
+        found[f"{key}/median"] = stored(r, "median_m", "median_se")
+        found[f"{key}/diverged"] = stored(r, "diverged").percent()
     return found
 
 

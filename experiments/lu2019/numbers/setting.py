@@ -85,7 +85,7 @@ def fig3(scale: str) -> pd.DataFrame:
     each of the READINGS, with their standard errors.
     """
     trials = {"quick": 8, "paper": 200}[scale]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for setting, words in READINGS.items():
         cell = cell_of(*words)
         draws = Draws(cell.scenario, cell.noise, cell.seed)
@@ -94,13 +94,16 @@ def fig3(scale: str) -> pd.DataFrame:
             for name, grid in GRIDS.items():
                 each = [np.searchsorted(np.sort(f[name]), grid) / len(f[name]) for f in found]
                 cdf = np.mean(each, axis=0)
-                rows += [("cdf", setting, name, x, p, np.nan, trials) for x, p in zip(grid, cdf)]
+                of = {"kind": "cdf", "setting": setting, "name": name}
+                rows += [of | {"x": x, "value": p, "trials": trials} for x, p in zip(grid, cdf)]
         for name, (kind, number) in NUMBERS.items():
             mean = statistics.mean([number(f) for f in found])
-            rows.append((kind, setting, name, np.nan, mean.value, mean.se, trials))
+            row = {"kind": kind, "setting": setting, "name": name, "trials": trials}
+            rows.append(row | mean.columns("value", "se"))
     clock = LIGHT * 1e-9 * cell_of().noise.clock_ns
-    rows.append(("exact", "chosen", "clock_m", np.nan, clock, 0.0, 0))
-    columns = ["kind", "setting", "name", "x", "value", "se", "trials"]
+    exact = {"kind": "exact", "setting": "chosen", "name": "clock_m", "trials": 0}
+    rows.append(exact | {"value": clock, "se": 0.0})
+    columns = ["kind", "setting", "name", "x", "value", "se", "se_skew", "se_units", "trials"]
     return pd.DataFrame(rows, columns=columns)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
+from aoabench.maths.estimate import Estimate, stored
 from aoabench.report.plots import COLOURS, LABELS
 
 TITLES = {"ae_flip": "Model I: normal angles, flipped", "vmf": "Model II: von Mises-Fisher"}
@@ -41,7 +41,7 @@ def numbers_of(r: dict[str, Any], key: str) -> dict[str, Estimate]:
     """
 
     def estimate(name: str) -> Estimate:
-        return Estimate(r[f"{name}_percent"], r[f"{name}_se"])
+        return stored(r, f"{name}_percent", f"{name}_se")
 
     found = {}
     if r["model"] != "vmf":
@@ -52,7 +52,7 @@ def numbers_of(r: dict[str, Any], key: str) -> dict[str, Estimate]:
                 found["beyond_pf"] = estimate("beyond_pf")
     elif r["family"] != "pf":
         found["mean"] = estimate("above_pf_vmf")
-        found["median"] = Estimate(r["q50"], r["median_se"])
+        found["median"] = stored(r, "q50", "median_se")
     if r["model"].startswith("ae_adaptive"):
         for other in ("ae_nominal", "ae_fitted"):
             found[f"above_{other}"] = estimate(f"above_{other}")

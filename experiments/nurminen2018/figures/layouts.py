@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
+from aoabench.maths.estimate import Estimate, stored
 from aoabench.report.plots import LABELS, PAGE, error_bars, new
 
 from .common import ORDER, TITLES, counts, label, numbers_of
@@ -83,5 +83,5 @@ def adaptivity_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     found = {}
     for r in frame.to_dict("records"):
         key = f"adaptivity/{_title(r['layout'])}/{r['noise']}/{r['estimator']}/above_{r['other']}"
-        found[key] = Estimate(r["above_percent"], r["above_se"])
+        found[key] = stored(r, "above_percent", "above_se")
     return found

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
+from aoabench.maths.estimate import Estimate, stored
 from aoabench.report.plots import COLOURS, GREY, LABELS, MARKERS, PAGE, new
 
 if TYPE_CHECKING:
@@ -19,8 +19,11 @@ def table1_values(frame: pd.DataFrame) -> dict[str, tuple[Estimate, float]]:
     distance of AE-adaptive from VMF is with data of Model II.
     """
     found = {
-        f"table1/{r.data}/{r.model}/{r.quantity}": (Estimate(r.value, r.se), float(r.samples))
-        for r in frame.itertuples()
+        f"table1/{r['data']}/{r['model']}/{r['quantity']}": (
+            stored(r, "value", "se"),
+            float(r["samples"]),
+        )
+        for r in frame.to_dict("records")
     }
     if "table1/model1/ae_adaptive/distance" in found:  # not in a table of an earlier version
         (first, n), (second, _) = (found[f"table1/model{k}/ae_adaptive/distance"] for k in (1, 2))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from aoabench.maths.estimate import Estimate
+from aoabench.maths.estimate import Estimate, stored
 from aoabench.report.plots import COLOURS, GREY, LABELS, MARKERS, PAGE, boxes, error_bars, new
 
 from .common import MODELS, ORDER, TITLES, colour, counts, label, numbers_of
@@ -44,8 +45,9 @@ def frames_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     found = {}
     for r in frame[frame["frame_rpy_deg"] != "[0, 0, 0]"].to_dict("records"):
         key = f"frames/{r['estimator']}/{r['frame_rpy_deg'].strip('[]').replace(' ', '')}"
-        found[f"{key}/change"] = Estimate(r["change_percent"], r["change_se"])
-        found[f"{key}/size"] = Estimate(abs(r["change_percent"]), r["change_se"])
+        change = stored(r, "change_percent", "change_se")
+        found[f"{key}/change"] = change
+        found[f"{key}/size"] = math.copysign(1.0, change.value) * change
     return found
 
 
@@ -149,6 +151,6 @@ def particles_values(frame: pd.DataFrame) -> dict[str, Estimate]:
     """Paired excess in percent of the RMSE over the one with most particles."""
     found = {}
     for r in frame[frame["particles"] < frame["particles"].max()].to_dict("records"):
-        above = Estimate(r["above_largest_percent"], r["above_largest_se"])
+        above = stored(r, "above_largest_percent", "above_largest_se")
         found[f"particles/{r['noise']}/{r['particles']}/{r['estimator']}"] = above
     return found

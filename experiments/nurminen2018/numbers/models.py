@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -28,14 +30,20 @@ def table1(scale: str) -> pd.DataFrame:
         logliks, residuals = samples(noise, data, batches)
         n = logliks.shape[1]
         for model, share in zip(MODELS, shares(logliks)):
-            rows.append((data, model, "share", share.value, share.se, n))
+            rows.append(_row(data, model, "share", share, n))
         for model, quantity, e in distances(logliks):
-            rows.append((data, model, quantity, e.value, e.se, n))
+            rows.append(_row(data, model, quantity, e, n))
         for angle, r in zip(("azimuth", "elevation"), residuals):
             sigma = statistics.mean(r**2).root() * np.rad2deg(1.0)
-            rows.append((data, "ae_fitted", f"sigma_{angle}_deg", sigma.value, sigma.se, n))
-        rows.append((data, "vmf", "kappa", 1 / SIGMA**2, 0.0, n))
-    return pd.DataFrame(rows, columns=["data", "model", "quantity", "value", "se", "samples"])
+            rows.append(_row(data, "ae_fitted", f"sigma_{angle}_deg", sigma, n))
+        rows.append(_row(data, "vmf", "kappa", Estimate(1 / SIGMA**2, 0.0), n))
+    return pd.DataFrame(rows)
+
+
+def _row(data: str, model: str, quantity: str, number: Estimate, samples: int) -> dict[str, Any]:
+    """A row of `table1`."""
+    row = {"data": data, "model": model, "quantity": quantity}
+    return row | number.columns("value", "se") | {"samples": samples}
 
 
 def samples(noise: object, data: str, batches: int) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +67,7 @@ def shares(logliks: np.ndarray) -> list[Estimate]:
     score = np.exp(L - L.max())
     share = score / score.sum()
     influence = share[:, None] * (logliks - share @ logliks)
-    return [Estimate(value, statistics.mean(i).se) for value, i in zip(share, influence)]
+    return [statistics.from_influence(value, i) for value, i in zip(share, influence)]
 
 
 def distances(logliks: np.ndarray) -> list[tuple[str, str, Estimate]]:

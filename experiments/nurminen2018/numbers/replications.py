@@ -51,16 +51,11 @@ def frames(runs: pd.DataFrame) -> pd.DataFrame:
         for frame in sorted(wide.columns, key=lambda c: (c != "[0, 0, 0]", c)):
             mean = statistics.mean(wide[frame])
             change = statistics.paired(wide[frame], wide["[0, 0, 0]"]).percent
-            rows.append((name, frame, mean.value, mean.se, change.value, change.se, len(wide)))
-    columns = [
-        "estimator",
-        "frame_rpy_deg",
-        "rmse_mean_3d_m",
-        "se_m",
-        "change_percent",
-        "change_se",
-    ]
-    return pd.DataFrame(rows, columns=[*columns, "replications"])
+            row = {"estimator": name, "frame_rpy_deg": frame}
+            row |= mean.columns("rmse_mean_3d_m", "se_m")
+            row |= change.columns("change_percent", "change_se")
+            rows.append(row | {"replications": len(wide)})
+    return pd.DataFrame(rows)
 
 
 def fig4(runs: pd.DataFrame) -> pd.DataFrame:
@@ -83,15 +78,16 @@ def fig4(runs: pd.DataFrame) -> pd.DataFrame:
             row = {"layout": layout, "noise": noise, "estimator": name}
             row |= {"family": family, "model": model}
             row |= {"particles": int(group["filter.pf_vmf.particles"].iloc[0])}
-            row |= {"replications": len(wide), "rmse_mean_3d_m": mean.value, "se_m": mean.se}
+            row |= {"replications": len(wide), **mean.columns("rmse_mean_3d_m", "se_m")}
             row |= {f"q{round(100 * q):02d}": level.value for q, level in zip(QUANTILES, levels)}
-            row |= {"median_se": levels[2].se, "minimum": percent.min(), "maximum": percent.max()}
+            row |= levels[2].columns("q50", "median_se")
+            row |= {"minimum": percent.min(), "maximum": percent.max()}
             others = {"pf_vmf": "pf_vmf"} | {
                 m: f"{family}_{m}" for m in ("vmf", "ae_nominal", "ae_fitted")
             }
             for other, against in others.items():
                 pair = statistics.paired(wide[name], wide[against]).percent
-                row |= {f"above_{other}_percent": pair.value, f"above_{other}_se": pair.se}
+                row |= pair.columns(f"above_{other}_percent", f"above_{other}_se")
             rows.append(row | _beside_vmf(wide, name))
     return pd.DataFrame(rows)
 
@@ -132,9 +128,10 @@ def adaptivity(runs: pd.DataFrame) -> pd.DataFrame:
             for other in ("ae_nominal", "ae_fitted"):
                 against = f"{name.partition('_')[0]}_{other}"
                 above = statistics.paired(wide[name], wide[against]).percent
-                rows.append((layout, noise, name, other, above.value, above.se, len(wide)))
-    columns = ["layout", "noise", "estimator", "other", "above_percent", "above_se", "replications"]
-    return pd.DataFrame(rows, columns=columns)
+                row = {"layout": layout, "noise": noise, "estimator": name, "other": other}
+                row |= above.columns("above_percent", "above_se")
+                rows.append(row | {"replications": len(wide)})
+    return pd.DataFrame(rows)
 
 
 def particles(runs: pd.DataFrame) -> pd.DataFrame:
@@ -149,8 +146,8 @@ def particles(runs: pd.DataFrame) -> pd.DataFrame:
         for count in sorted(wide.columns):
             mean = statistics.mean(wide[count])
             above = statistics.paired(wide[count], wide[max(wide.columns)]).percent
-            row = (noise, int(count), name, mean.value, mean.se, above.value, above.se, len(wide))
-            rows.append(row)
-    columns = ["noise", "particles", "estimator", "rmse_mean_3d_m", "se_m"]
-    columns += ["above_largest_percent", "above_largest_se", "replications"]
-    return pd.DataFrame(rows, columns=columns)
+            row = {"noise": noise, "particles": int(count), "estimator": name}
+            row |= mean.columns("rmse_mean_3d_m", "se_m")
+            row |= above.columns("above_largest_percent", "above_largest_se")
+            rows.append(row | {"replications": len(wide)})
+    return pd.DataFrame(rows)
