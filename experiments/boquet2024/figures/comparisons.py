@@ -132,8 +132,8 @@ def boxes_values(frame: pd.DataFrame) -> dict[str, Estimate]:
 
 
 def errata_values(frame: pd.DataFrame) -> dict[str, Estimate]:
-    """Per erratum: P(error <= 1 m) corrected minus as the paper ran it, in percentage points, and the
-    share of the packets whose fix changes.
+    """Per erratum: P(error <= 1 m) corrected minus as the paper ran it, in percentage points, and
+    the share of the packets whose fix changes.
     """
     return {
         f"errata/{r['variant']}/{key}": estimate(r, key)
