@@ -541,7 +541,7 @@ def test_without_ground_truth_positions_are_the_product(here, capsys):
     some = "estimator=[ls_lines,anchor_mean,ls,ml_kcorr]"
     code, out, err = run(capsys, some, "scenario.height_m=1", "store.steps=true")
     assert code == 0, err
-    assert "nan" in out
+    assert " -  " in out, "no error without a truth"
     assert not Path("out/figures").exists()
     frame = aoabench.load("out").set_index("estimator")
     assert frame[["rmse_3d_m", "rmse_xy_m", "rmse_z_m"]].isna().all(axis=None)
