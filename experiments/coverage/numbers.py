@@ -79,10 +79,10 @@ def corridor(scale: str) -> pd.DataFrame:
                 (*_WALK, f"noise.an_sigma_m={sigma:g}"),
                 ("ekf_aoa",),
                 "ekf_toa_aoa",
-                (10, 25),
+                (10, 25, 100),
                 seeds,
             )
-            for sigma, seeds in ((0.5, 400), (0, 200))
+            for sigma, seeds in ((0.5, 1000), (0, 400))
         ],
         scale,
     )
@@ -91,21 +91,21 @@ def corridor(scale: str) -> pd.DataFrame:
 def bs_grid(scale: str) -> pd.DataFrame:
     """Maximum likelihood without phase-jump correction at random positions among base stations."""
     judged = ("ml_arctan", "ml_atan2")
-    return _table(_at_positions(_GRID, judged, "ml_kcorr", (1000, 200, 200)), scale)
+    return _table(_at_positions(_GRID, judged, "ml_kcorr", (1000, 400)), scale)
 
 
 def room(scale: str) -> pd.DataFrame:
     """The discrepancy filter at random points of a room."""
-    return _table(_at_positions(_ROOM, ("discrepancy",), "ls_lines", (500, 100, 100)), scale)
+    return _table(_at_positions(_ROOM, ("discrepancy",), "ls_lines", (500, 100)), scale)
 
 
 def _at_positions(
     words: tuple[str, ...], judged: tuple[str, ...], baseline: str, seeds: tuple[int, ...]
 ) -> list[Setting]:
-    """Runs of 10 and 25, and of 100, replications at 100 positions, and of 10 at 1000."""
+    """Runs of 10, 25 and 100 replications at 100 positions, and of 10 and 25 at 1000."""
     return [
         Setting("", words, judged, baseline, sizes, n, positions)
-        for positions, sizes, n in zip((100, 100, 1000), ((10, 25), (100,), (10,)), seeds)
+        for positions, sizes, n in zip((100, 1000), ((10, 25, 100), (10, 25)), seeds)
     ]
 
 
