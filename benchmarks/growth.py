@@ -21,10 +21,21 @@ from benchmarks.timing import Row, cell_of
 
 CELLS = 10_000  # of one filter and 2 replications each
 NEW = 200
+SWEEP = 2_000  # new cells of one run into an empty folder
 
 
 def growth(repeats: int) -> Iterator[Row]:
-    """One reused cell, new cells, and `load`, in a folder of CELLS cells."""
+    """The cells of a sweep; one reused cell, new cells, and `load`, in a folder of CELLS cells."""
+    with tempfile.TemporaryDirectory() as folder:
+        first = cell_of(
+            "reps=2", "runner.n_jobs=1", f"runner.out={folder}/out", filters=["ekf_vmf"]
+        )
+        runner.run([first], progress=False)
+        new = [_changed(first, 1 + i) for i in range(SWEEP)]
+        seconds = _cpu(lambda: runner.run(new, progress=False))
+        how = "processor time of a run, without its start and its config; 1 filter, 2 replications"
+        what = f"sweep of {SWEEP} new cells"
+        yield Row(what, "a cell, all in", 1e3 * seconds / SWEEP, "ms", "at most 20", how)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, "out")
         first = cell_of("reps=2", "runner.n_jobs=1", f"runner.out={out}", filters=["ekf_vmf"])

@@ -107,6 +107,8 @@ def _records(frame: Any) -> list[Row]:
     for row in rows:
         row["ours_text"] = interval_text(row["ours"], row["low"], row["high"])
         row["ours_sort"] = "" if row["ours"] != row["ours"] else f"{row['ours']:.6g}"
+        least = f"{row['shows']:.2g} {row['unit']}".rstrip()
+        row["power"] = f"this N shows a difference of {least}" if row["shows"] > 0 else ""
     return rows
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 NOT_COMPUTED = "not computed"
 OTHER_SCALE = "not judged at this scale"
 WORDS = (HOLDS, DEPENDS, FAILS, UNDECIDED, NOT_JUDGED)
+NAMED = 5  # readings that a claim's row names
 BEYOND = 10.0  # times the table's replications: an undecided claim that needs more is listed apart
 JUDGED = {
     "study": str, "item": str, "id": str, "class": str, "quantifier": str, "what": str,
@@ -227,12 +228,13 @@ def limits_text(claim: Claim) -> str:
 
 
 def _counted(rows: Sequence[Mapping[str, Any]]) -> str:
-    """In how many readings a claim has which verdict, e.g. "holds in 1 of 2: independent; fails:
-    common".
+    """In how many readings a claim has which verdict, e.g. "holds in 1 of 2: independent; fails in
+    1 of 2: common"; without their names where these are more than NAMED.
     """
     groups = {word: [r["reading"] for r in rows if r["verdict"] == word] for word in WORDS}
     texts = [
-        f"{word} in {len(names)} of {len(rows)}: {', '.join(names)}"
+        f"{word} in {len(names)} of {len(rows)}"
+        + (f": {', '.join(names)}" if len(rows) <= NAMED else "")
         for word, names in groups.items()
         if names
     ]

@@ -3,7 +3,6 @@ fixes.
 """
 
 import inspect
-from fnmatch import fnmatchcase
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -636,21 +635,6 @@ def test_every_reading_of_a_claim_finds_its_numbers(values):
     for claim in STUDY.claims:
         for reading in claim.readings:
             assert reading.ids(values[claim.item]), (claim.id, reading.of)
-
-
-def test_every_number_is_in_a_claim_or_has_a_reason_not_to_be(values):
-    for item, found in values.items():
-        claimed = {
-            i for c in STUDY.claims if c.item == item for r in c.readings for i in r.ids(found)
-        }
-        for i in set(found) - claimed:
-            assert any(fnmatchcase(i, pattern) for pattern in STUDY.unclaimed), i
-
-
-def test_reasons_are_for_numbers_that_are():
-    """Every pattern of `not judged` belongs to an item."""
-    items = {item.name for item in STUDY.items}
-    assert {pattern.partition("/")[0] for pattern in STUDY.unclaimed} <= items
 
 
 def test_targets_of_the_fit_have_the_tolerances_of_the_fit(tables):
