@@ -29,10 +29,10 @@ class Judgement:
     """The verdict on one reading of a claim.
 
     `decisive` is the position, among the reading's numbers, of the one that decides; `interval` is
-    its interval at the level of all of them together. A limit outside `flips` would not change the
-    verdict of a claim that holds. `shows` is the smallest difference from a limit that this number
-    of replications shows with probability POWER. `more` is the factor by which an undecided claim
-    needs more replications (NaN: decided).
+    its interval at the level of all of them together. The claim holds for all limits that leave
+    `flips` between them, and for no others. `shows` is the smallest difference from a limit that
+    this number of replications shows with probability POWER. `more` is the factor by which an
+    undecided claim needs more replications (NaN: decided).
     """
 
     word: str
