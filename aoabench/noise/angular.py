@@ -26,8 +26,8 @@ from aoabench.maths.directional import (
 from aoabench.maths.geometry import Array, in_frames, to_azel, to_unit, wrap
 from aoabench.noise.mounting import MountedNoise
 from aoabench.params import param
-from aoabench.roles import Calibration, Scenario
-from aoabench.types import Anchors, Measurements
+from aoabench.roles import Scenario
+from aoabench.types import Anchors, Calibration, Measurements
 
 
 @dataclass(frozen=True)
