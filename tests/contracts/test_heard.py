@@ -14,9 +14,14 @@ from aoabench.errors import UserError
 ESTIMATORS = [("filter", n) for n in options("filter")] + [
     ("estimator", n) for n in options("estimator")
 ]
-PLACES = {
-    "route": ["scenario=indoor_map", "scenario.dt=12"],  # the same anchors in all replications
-    "model": ["scenario=indoor_map_model", "scenario.dt=2", "scenario.steps=12"],
+PLACES = {  # the anchors heard are the same in all replications, or differ
+    "route": ["scenario=indoor_map", "scenario.dt=12", "scenario.nearest=12"],
+    "model": [
+        "scenario=indoor_map_model",
+        "scenario.dt=2",
+        "scenario.steps=12",
+        "scenario.nearest=null",
+    ],
 }
 ANGULAR = ("adaptive", "fitted")  # parts of the names of those that need an angular noise
 HEARD = {"route": 11, "model": 19}  # number of an anchor that is heard

@@ -12,7 +12,7 @@ from aoabench.types import Batch, Estimates
 
 WORDS = ["noise=ofdm_crlb", "noise.an_sigma_m=0.5", "noise.mounting_yaw_deg=2", "filter=[ekf_aoa]"]
 PLACES = {
-    "route": ["scenario=indoor_map", "scenario.dt=12"],
+    "route": ["scenario=indoor_map", "scenario.dt=12", "scenario.nearest=30"],
     "model": ["scenario=indoor_map_model", "scenario.steps=20", "scenario.dt=1"],
 }
 
@@ -39,7 +39,8 @@ def test_the_places_of_a_batch(place):
     truth, whole = draws.tile(4, 3)
     _, heard = draws.tile(4, 3, heard_only=True)
     count, (R, T, K) = cell.scenario.true_anchors.count, heard.azimuth.shape
-    assert (count, K) == (107, 8)
+    assert (count, K) == (107, 8 if place == "model" else 30)
+    assert (heard.anchor_id < 0).any() == (place == "route")
     assert heard.anchor_id.shape == ((R if place == "model" else 1), T, K)
     assert whole.anchor_id is None
     names = ("azimuth", "elevation", "delay", "rssi", "azimuth_sigma", "elevation_sigma")
@@ -79,8 +80,8 @@ def test_an_estimator_gets_the_batch_that_it_takes(heard_only):
     cell = compose_cells([*PLACES["route"], *WORDS])[0]
     mine, other = Seen(heard_only), Seen(not heard_only)
     run_block(cell.scenario, cell.noise, {"mine": mine, "other": other}, 1, 0, 3)
-    assert [batch.azimuth.shape[2] for batch in mine.batches] == [8 if heard_only else 107] * 2
-    assert [batch.azimuth.shape[2] for batch in other.batches] == [107 if heard_only else 8] * 2
+    assert [batch.azimuth.shape[2] for batch in mine.batches] == [30 if heard_only else 107] * 2
+    assert [batch.azimuth.shape[2] for batch in other.batches] == [107 if heard_only else 30] * 2
     mine.by_replication = True
     run_block(cell.scenario, cell.noise, {"mine": mine}, 1, 1, 2)
     again, before = mine.batches[-1], mine.batches[0]

@@ -8,6 +8,7 @@ import pytest
 from aoabench.config.compose import compose_cells
 from aoabench.maths.geometry import LIGHT
 from aoabench.maths.places import at_anchors
+from aoabench.noise import ofdm
 from aoabench.noise.ofdm import OfdmCrlb
 
 PLACES = {
@@ -57,8 +58,9 @@ def test_a_tile_has_the_bits_of_each_replication(place, noise):
 
 
 @pytest.mark.parametrize("place", ["route", "model", "few", "track"])
-def test_ofdm_in_loops(place):
+def test_ofdm_in_loops(place, monkeypatch):
     """The module's formulas, link by link; shadowing is drawn first, then three numbers a link."""
+    monkeypatch.setattr(ofdm, "_AT_ONCE", 300)  # replications in parts
     scenario, noise, truth = world(place, "ofdm_crlb")
     noise = OfdmCrlb(an_sigma_m=0.5, clock_ns=3.0, shadowing_m=7.0)
     tile, anchors = noise.sample_tile(rngs(), scenario, truth), scenario.true_anchors
