@@ -70,7 +70,7 @@ class _Seen(distributions.ProbDist):
         return found
 
 
-class _Track(state_space_models.StateSpaceModel):  # type: ignore[misc]
+class _Track(state_space_models.StateSpaceModel):
     """The random walk, its start one step before the first measurement, and the measurements."""
 
     def PX0(self) -> distributions.ProbDist:
