@@ -131,7 +131,9 @@ def _tried(
     draws: Draws, estimators: Mapping[str, Estimator], first: int, size: int
 ) -> tuple[Inputs, dict[str, Tried]]:
     """The facts about one tile's input, and what `try_tile` returns for each estimator."""
-    inputs = Inputs.of(draws.tile(first, size)[1], draws.scenario.recorded is not None)
+    heard_only = any(estimator.heard_only for estimator in estimators.values())
+    _, batch = draws.tile(first, size, heard_only)
+    inputs = Inputs.of(batch, draws.scenario.recorded is not None)
     return inputs, {name: try_tile(draws, e, first) for name, e in estimators.items()}
 
 

@@ -32,7 +32,7 @@ class Inputs:
         if batch.delay is not None:
             unmeasured &= np.isnan(batch.delay)
         shape = unmeasured.shape[:2]
-        centre, extent = _layout(batch.anchors.position)
+        centre, extent = _layout(batch.layout.position)
         time = np.nan if recorded or batch.time is None else batch.time
         return cls(
             np.asarray(unmeasured.all(axis=2)),

@@ -25,6 +25,7 @@ class Compiled:
 
     engine: str
     kernels: ClassVar[str]  # the module that holds them
+    per_step: ClassVar[bool] = False  # whether they take anchors that differ from step to step
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile or load the kernels before workers run in parallel; `say` prints a line."""
@@ -32,8 +33,11 @@ class Compiled:
             prepare(self.kernels, say)
 
     def compiled(self, anchors: Anchors) -> ModuleType | None:
-        """The module of the kernels; None if NumPy is used, as it is for moving anchors."""
-        return load(self.kernels) if self.engine == "auto" and not anchors.moving else None
+        """The module of the kernels; None if NumPy is used, as it is for anchors that move and
+        kernels that are not `per_step`.
+        """
+        fit = self.per_step or not anchors.moving
+        return load(self.kernels) if self.engine == "auto" and fit else None
 
 
 @cache

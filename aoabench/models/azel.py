@@ -17,8 +17,8 @@ from aoabench.maths.directional import flipped_azimuth_std, flipped_elevation_mo
 from aoabench.maths.geometry import Array, in_frames, rotations_for, to_azel, wrap
 from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
 from aoabench.params import param
-from aoabench.roles import Calibration, Measurement, Noise
-from aoabench.types import Anchors, Batch
+from aoabench.roles import Measurement, Noise
+from aoabench.types import Anchors, Batch, Calibration
 
 _RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative on the pole axis, where it is undefined
 
