@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -199,9 +200,10 @@ class Batch:
     anchors: the anchors as known to the estimator, in the order of the last axis; anchor_id
     (R|1, T|1, B): their numbers in the scenario, from 0, -1 for an empty place, None for 0, 1, ...
     B-1. A batch of the anchors heard has the places of `Measurements.anchor_id` and anchors
-    (R|1, T, K, ...); an empty place measures nothing and holds finite anchors. time (R|1, T) s;
-    None for steps of the scenario's dt. prior_mean (R, n) and prior_cov (n, n) describe the state
-    before the first step (None for snapshot scenarios). A batch does not contain the truth.
+    (R|1, T, K, ...); an empty place measures nothing and holds finite anchors; `known` then holds
+    all anchors (R|1, T|1, B, ...), else None. time (R|1, T) s; None for steps of the scenario's dt.
+    prior_mean (R, n) and prior_cov (n, n) describe the state before the first step (None for
+    snapshot scenarios). A batch does not contain the truth.
     """
 
     azimuth: Array
@@ -216,15 +218,27 @@ class Batch:
     prior_cov: Array | None = None
     time: Array | None = None
     anchor_id: np.ndarray | None = None
+    known: Anchors | None = None
 
     def of(self, i: int) -> Batch:
         """Return the batch of one replication, in arrays (1, ...); `i` is its index on the first
         axis.
         """
-        names = [f.name for f in fields(self) if f.name not in ("anchors", "prior_cov")]
-        each = {name: getattr(self, name) for name in names}
+        each = self.by_replication
         one = {n: a if a is None or len(a) == 1 else a[i : i + 1] for n, a in each.items()}
-        return Batch(anchors=self.anchors.of(i), prior_cov=self.prior_cov, **one)
+        known = None if self.known is None else self.known.of(i)
+        return Batch(anchors=self.anchors.of(i), known=known, prior_cov=self.prior_cov, **one)
+
+    @property
+    def by_replication(self) -> dict[str, Any]:
+        """Each field but the anchors whose first axis is that of the replications."""
+        others = ("anchors", "known", "prior_cov")
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in others}
+
+    @property
+    def all_anchors(self) -> Anchors:
+        """All anchors (R|1, T|1, B, ...) as known to the estimator, heard or not."""
+        return self.anchors if self.known is None else self.known
 
     @property
     def numbers(self) -> np.ndarray:

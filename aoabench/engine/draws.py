@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,8 @@ class Drawn:
             name: at_places(array, numbers, _EMPTY[name])
             for name, array in self.known.arrays.items()
         }
-        return self._batch(self.measured.arrays, Anchors(**known), numbers)
+        batch = self._batch(self.measured.arrays, Anchors(**known), numbers)
+        return replace(batch, known=self.known)
 
     @cached_property
     def whole(self) -> Batch:
@@ -63,10 +65,9 @@ class Drawn:
             prior_mean=mean,
             prior_cov=cov,
             time=self.time,
-            **measured,
+            **measured,  # type: ignore[arg-type]
         )
-        arrays = (getattr(batch, f.name) for f in fields(batch) if f.name != "anchors")
-        for array in (*anchors.arrays.values(), *arrays):
+        for array in (*anchors.arrays.values(), *batch.by_replication.values(), batch.prior_cov):
             if array is not None:
                 array.setflags(write=False)  # all estimators see the same
         return batch
@@ -188,10 +189,12 @@ def together(each: Sequence[Anchors]) -> Anchors:
 
 def placed(batch: Batch, at: np.ndarray) -> Batch:
     """A batch whose place i holds the data of the tile's replication `at[i]`."""
-    names = [f.name for f in fields(Batch) if f.name not in ("anchors", "prior_cov")]
-    given = {name: getattr(batch, name) for name in names}
-    each = {name: a if a is None else taken(a, at) for name, a in given.items()}
-    return replace(batch, anchors=placed_anchors(batch.anchors, at), **each)  # type: ignore[arg-type]
+    each: dict[str, Any] = {
+        n: a if a is None else taken(a, at) for n, a in batch.by_replication.items()
+    }
+    anchors = placed_anchors(batch.anchors, at)
+    known = None if batch.known is None else placed_anchors(batch.known, at)
+    return replace(batch, anchors=anchors, known=known, **each)
 
 
 def placed_anchors(anchors: Anchors, at: np.ndarray) -> Anchors:

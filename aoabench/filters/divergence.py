@@ -143,15 +143,20 @@ def inconsistent(nis: Array, Y: Array, tail: float, steps: int) -> np.ndarray:
     The degrees of freedom are the components of Y (R, T, m) that are measured (not NaN). A step
     without any neither continues nor ends a run and is not marked.
     """
-    limit = _limits(Y.shape[2], tail)
+    if not (nis > _limits(Y.shape[2], tail)[0]).any():
+        return np.zeros(nis.shape, dtype=bool)
+    given = np.isfinite(Y)
+    components = np.full(1, Y.shape[2]) if given.all() else given.sum(axis=-1)
+    return in_a_row(nis, components, Y.shape[2], tail, steps)
+
+
+def in_a_row(nis: Array, components: np.ndarray, most: int, tail: float, steps: int) -> np.ndarray:
+    """`inconsistent` from the numbers of measured components (R|1, T|1), at most `most`."""
+    limit = _limits(most, tail)
     if not (nis > limit[0]).any():
         return np.zeros(nis.shape, dtype=bool)
-    if np.isfinite(Y).all():
-        measured, above = np.True_, nis > limit[-1]
-    else:
-        components = np.isfinite(Y).sum(axis=-1)
-        measured = components > 0
-        above = (nis > limit[components]) & measured
+    measured = components > 0
+    above = (nis > limit[components]) & measured
     count = np.cumsum(above, axis=1, dtype=np.int32)
     before = count * (measured & ~above)
     return above & (count - np.maximum.accumulate(before, axis=1) >= steps)

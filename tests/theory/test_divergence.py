@@ -227,7 +227,7 @@ def test_innovations_at_access_nodes(name, printed):
     v = measured[0][:, 0] - h
     v[..., 1] = wrap(v[..., 1])
     for engine in ENGINES:
-        found = replace(method, engine=engine).filtered(anchors, belief, *measured).nis[:, 0]
+        found = replace(method, engine=engine).filtered(batch, belief)[0].nis[:, 0]
         for i in range(9):
             rows = [(b, c) for b, c in np.ndindex(4, 3) if np.isfinite(v[i, b, c])]
             G = np.array([H[i, b, c] for b, c in rows])
