@@ -133,8 +133,7 @@ def _tried(
     """The facts about one tile's input, and what `try_tile` returns for each estimator."""
     heard_only = any(estimator.heard_only for estimator in estimators.values())
     _, batch = draws.tile(first, size, heard_only)
-    recorded, known = draws.scenario.recorded is not None, draws.drawn(first, size).known
-    inputs = Inputs.of(batch, recorded, known)
+    inputs = Inputs.of(batch, draws.scenario.recorded is not None)
     return inputs, {name: try_tile(draws, e, first) for name, e in estimators.items()}
 
 

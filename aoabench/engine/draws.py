@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from aoabench.maths.geometry import Array
 from aoabench.maths.places import at_anchors, at_places
 from aoabench.roles import Noise, Scenario
-from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, generator
+from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, generators
 from aoabench.types import Anchors, Batch, Measurements
 
 _EMPTY = {"position": np.zeros(3), "rotation": np.eye(3), "position_sigma": np.zeros(3)}
@@ -42,8 +41,7 @@ class Drawn:
             name: at_places(array, numbers, _EMPTY[name])
             for name, array in self.known.arrays.items()
         }
-        batch = self._batch(self.measured.arrays, Anchors(**known), numbers)
-        return replace(batch, known=self.known)
+        return self._batch(self.measured.arrays, Anchors(**known), numbers)
 
     @cached_property
     def whole(self) -> Batch:
@@ -62,12 +60,13 @@ class Drawn:
         batch = Batch(
             anchors=anchors,
             anchor_id=numbers,
+            known=None if numbers is None else self.known,
             prior_mean=mean,
             prior_cov=cov,
             time=self.time,
-            **measured,  # type: ignore[arg-type]
+            **measured,
         )
-        for array in (*anchors.arrays.values(), *batch.by_replication.values(), batch.prior_cov):
+        for array in (cov, *batch.arrays.values(), *anchors.arrays.values()):
             if array is not None:
                 array.setflags(write=False)  # all estimators see the same
         return batch
@@ -148,11 +147,13 @@ class Draws:
         known = [
             self.noise.known_anchors(rng, self.scenario) for rng in self._rngs(numbers, ANCHORS)
         ]
-        truth.setflags(write=False)
+        all_anchors = together(known)
+        for array in (truth, *all_anchors.arrays.values()):
+            array.setflags(write=False)
         return Drawn(
             truth=truth,
             measured=measured,
-            known=together(known),
+            known=all_anchors,
             prior=(np.stack([mean for mean, _ in given]), given[0][1]) if given else None,
             time=self.scenario.times(truth.shape[1])[None],
         )
@@ -174,7 +175,7 @@ class Draws:
         return measured if ids is None or ids.ndim == 3 else replace(measured, anchor_id=ids[None])
 
     def _rngs(self, numbers: range, role: int, purpose: int = 0) -> Sequence[np.random.Generator]:
-        return [generator(self.seed, self.scenario.name, r, role, purpose) for r in numbers]
+        return generators(self.seed, self.scenario.name, numbers, role, purpose)
 
 
 def together(each: Sequence[Anchors]) -> Anchors:
@@ -189,12 +190,14 @@ def together(each: Sequence[Anchors]) -> Anchors:
 
 def placed(batch: Batch, at: np.ndarray) -> Batch:
     """A batch whose place i holds the data of the tile's replication `at[i]`."""
-    each: dict[str, Any] = {
-        n: a if a is None else taken(a, at) for n, a in batch.by_replication.items()
-    }
-    anchors = placed_anchors(batch.anchors, at)
+    each = {name: a if a is None else taken(a, at) for name, a in batch.arrays.items()}
     known = None if batch.known is None else placed_anchors(batch.known, at)
-    return replace(batch, anchors=anchors, known=known, **each)
+    return replace(
+        batch,
+        anchors=placed_anchors(batch.anchors, at),
+        known=known,
+        **each,  # type: ignore[arg-type]
+    )
 
 
 def placed_anchors(anchors: Anchors, at: np.ndarray) -> Anchors:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aoabench.maths.geometry import Array
-from aoabench.types import Anchors, Batch, Estimates, Outcome
+from aoabench.types import Batch, Estimates, Outcome
 
 
 @dataclass(frozen=True)
@@ -26,16 +26,13 @@ class Inputs:
     time: Array
 
     @classmethod
-    def of(cls, batch: Batch, recorded: bool = False, known: Anchors | None = None) -> Inputs:
-        """The facts about a batch. The times of a recording are NaN: the log keeps its own.
-
-        `known`: all anchors, where those of the batch are the anchors heard at each step.
-        """
+    def of(cls, batch: Batch, recorded: bool = False) -> Inputs:
+        """The facts about a batch. The times of a recording are NaN: the log keeps its own."""
         unmeasured = np.isnan(batch.azimuth) & np.isnan(batch.elevation)
         if batch.delay is not None:
             unmeasured &= np.isnan(batch.delay)
         shape = unmeasured.shape[:2]
-        centre, extent = _layout((known or batch.anchors).position)
+        centre, extent = _layout(batch.layout.position)
         time = np.nan if recorded or batch.time is None else batch.time
         return cls(
             np.asarray(unmeasured.all(axis=2)),

@@ -94,7 +94,7 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
         batch = heard_alone(batch)
         filtered, used = self.filtered(batch, belief)
         found = self.judged(
-            sound(filtered.position, filtered.covariance), batch.all_anchors, belief
+            sound(filtered.position, filtered.covariance), batch.layout, belief
         )
         most = 3 * batch.azimuth.shape[2]
         run = in_a_row(filtered.nis, used, most, self.innovation_tail, self.innovation_steps)
@@ -123,7 +123,7 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
         batch = heard_alone(batch)
         y, q = self.measured(batch)
         self._recursion(belief, y, q, batch.anchors, seen)
-        values, count = np.stack(seen, axis=1), batch.all_anchors.count
+        values, count = np.stack(seen, axis=1), batch.layout.count
         if batch.known is not None and batch.anchor_id is not None:
             each = [at_anchors(values[..., i], batch.anchor_id, count) for i in range(3)]
             values = np.stack(each, axis=-1)

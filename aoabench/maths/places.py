@@ -11,8 +11,12 @@ from aoabench.maths.geometry import Array
 
 
 def numbers_of(heard: np.ndarray) -> np.ndarray:
-    """Numbers (..., T, K) of the anchors in a mask (..., T, B); K >= 1 is the most at a step."""
-    K = max(int(heard.sum(axis=-1).max(initial=0)), 1)
+    """Numbers (..., T, K) of the anchors in a mask (..., T, B); K >= 1 is the most at a step. If
+    that is B, each anchor has the place of its number.
+    """
+    K, B = max(int(heard.sum(axis=-1).max(initial=0)), 1), heard.shape[-1]
+    if K == B:
+        return np.where(heard, np.arange(B), -1)
     first = np.argsort(~heard, axis=-1, kind="stable")[..., :K]
     return np.where(np.take_along_axis(heard, first, axis=-1), first, -1)
 

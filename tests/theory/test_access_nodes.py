@@ -211,7 +211,7 @@ def test_batches_of_heard_nodes_give_the_bits_of_those_of_all(printed, engine, a
     whole = replace(batch, **arrays)
     few = heard_alone(whole)
     assert few.azimuth.shape[2] == 3
-    assert few.all_anchors is whole.anchors
+    assert few.layout is whole.anchors
     assert heard_alone(few) is few
     filters = an.AccessNodeEKF(
         True, printed, engine=engine, innovation_tail=0.1, innovation_steps=1
