@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aoabench.errors import Unfit
-from aoabench.filters.divergence import Filtered, InnovationBound, in_a_row, marked, sound
+from aoabench.filters.divergence import Filtered, InnovationBound
 from aoabench.filters.heard import heard_alone
 from aoabench.filters.roots import EPS, absorb, covariance, near, predicted, prior_root
 from aoabench.filters.trace import innovations
@@ -44,7 +44,7 @@ from aoabench.models.components import LEAST_VARIANCE
 from aoabench.params import param
 from aoabench.roles import NEEDS, Belief, Estimator, Scenario, believed
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates, Reason
+from aoabench.types import Anchors, Batch, Estimates
 
 KERNELS = "kernels.access_nodes"
 PRINTED = ("jacobian", "wrap", "shared", "cross")
@@ -92,27 +92,16 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
         if batch.azimuth_sigma is None or batch.elevation_sigma is None:
             raise Unfit(*NEEDS["stated_sigma"])
         batch = heard_alone(batch)
-        filtered, used = self.filtered(batch, belief)
-        found = self.judged(
-            sound(filtered.position, filtered.covariance), batch.layout, belief
-        )
-        most = 3 * batch.azimuth.shape[2]
-        run = in_a_row(filtered.nis, used, most, self.innovation_tail, self.innovation_steps)
-        return marked(found, run, Reason.INNOVATIONS)
+        return self.outcomes(self.filtered(batch, belief), None, batch.layout, belief)
 
-    def filtered(self, batch: Batch, belief: Belief) -> tuple[Filtered, np.ndarray]:
-        """The recursion, in the kernel if there is one, and the numbers (R, T) of components of the
-        measurements that are measured.
-        """
+    def filtered(self, batch: Batch, belief: Belief) -> Filtered:
+        """The recursion, in the kernel if there is one."""
         compiled = self.compiled(batch.anchors)
         belief = belief._replace(covariance=prior_root(belief.covariance))
         if compiled is None:
-            y, q = self.measured(batch)
-            used = np.isfinite(y).sum(axis=(2, 3))
-            return self._recursion(belief, y, q, batch.anchors), used
+            return self._recursion(belief, *self.measured(batch), batch.anchors)
         flags = tuple(name in self.as_printed for name in PRINTED)
-        *found, used = compiled.run(belief, batch, self.toa, flags)
-        return Filtered(*found), used
+        return Filtered(*compiled.run(belief, batch, self.toa, flags))
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by access node and component; NaN where the
@@ -185,7 +174,8 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
                 means.append(x[:, :3])
                 covariances.append(covariance(B[:, :3]))
                 nis.append((1 - ROUNDED) * (squares - (u * u).sum(-1)) + squared)
-        return Filtered(*(np.stack(each, axis=1) for each in (means, covariances, nis)))
+        P, squared = np.stack(covariances, axis=1), np.stack(nis, axis=1)
+        return Filtered(np.stack(means, axis=1), P, squared, np.isfinite(y).sum(axis=(2, 3)))
 
 
 def _variances(anchors: Anchors) -> Array:
