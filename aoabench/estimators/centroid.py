@@ -32,7 +32,7 @@ class WeightedCentroid(Estimator):
         False,
         "whether (12) runs as printed: the array's orientation stays in the measured azimuth [U5]",
     )
-    tile = 8
+    tile = 32
     by_replication = True
 
     @property

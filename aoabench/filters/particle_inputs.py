@@ -106,8 +106,8 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
 
 
 def weights_table(measurement: Measurement) -> np.ndarray:
-    """Table (724,), float32, of w = 1 / (2 variance) and then log(w) / 2, each of azimuth and
-    elevation in turn, at -90, -89 ... 90 degrees.
+    """Table (724,), float32, of w = 1 / (2 variance) of azimuth and elevation and log(w) / 2 of
+    both, at -90, -89 ... 90 degrees.
     """
-    w = (0.5 / measurement.variances()).ravel()
-    return np.concatenate([w, 0.5 * np.log(w)]).astype(np.float32)
+    w = 0.5 / measurement.variances()
+    return np.concatenate([w, 0.5 * np.log(w)], axis=1).astype(np.float32).ravel()

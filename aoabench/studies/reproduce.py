@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from aoabench.config.overrides import file_setting
 from aoabench.engine import runner
 from aoabench.engine.faults import writable
 from aoabench.errors import UserError
+from aoabench.kernels.loading import ahead
 from aoabench.resources import committing
 from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
@@ -83,14 +85,16 @@ def reproduce(
     pace = progress.Pace(pairs, expected)
     computed: list[dict[str, Any]] = []
     problems: dict[tuple[str, str], str] = {}
-    for s, item in pairs:
-        title = f"{s.name} {item.name} ({pace.text()})"
-        row = _compute_table(s, item, scale, places, fresh, title)
-        pace.done(row["seconds"])
-        computed.append(row)
-        rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s ({scale})"
-        echo(f"{rows}; {pace.text()}")
-        problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
+    everything = only is None and not names
+    with ahead() if everything else nullcontext():
+        for s, item in pairs:
+            title = f"{s.name} {item.name} ({pace.text()})"
+            row = _compute_table(s, item, scale, places, fresh, title)
+            pace.done(row["seconds"])
+            computed.append(row)
+            rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s ({scale})"
+            echo(f"{rows}; {pace.text()}")
+            problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
     if committing():
         progress.note(scale, computed)
     return Reproduced(computed, _conclude(pairs, problems, places, echo, every))

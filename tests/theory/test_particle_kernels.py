@@ -30,9 +30,16 @@ from aoabench.types import Anchors, Batch
 from tests.theory.assembly import assembly, vector_registers
 
 numba = pytest.importorskip("numba")
-K, LIKELIHOOD, PHILOX, SINGLE, SMALL = (
+K, LIKELIHOOD, RESAMPLING, PHILOX, SINGLE, SMALL = (
     load(f"kernels.{name}")
-    for name in ("particle", "particle_likelihood", "philox", "single", "small")
+    for name in (
+        "particle",
+        "particle_likelihood",
+        "particle_resampling",
+        "philox",
+        "single",
+        "small",
+    )
 )
 KEY = (0xA4093822, 0x299F31D0)
 
@@ -45,6 +52,11 @@ def u8(*words):
 def over(function, x, out):
     for i in range(len(x)):
         out[i] = function(x[i])
+
+
+@numba.njit(forceinline=True)
+def inverse_root(x):
+    return SINGLE.inverse_root(x)
 
 
 def single(function, x):
@@ -74,6 +86,20 @@ def test_exponential_over_its_whole_range():
     assert error.max() < 4e-6
     assert error[x > -1].max() < 3e-7
     assert np.all(single(SINGLE.exponential, np.array([-40.0, -40.001, -1e30, -np.inf])) == 0)
+
+
+def test_precise_exponential_over_its_whole_range():
+    x = spaced(-40, 0)[1:]
+    exact = np.exp(x.astype(float))
+    assert np.abs(single(SINGLE.precise_exponential, x) / exact - 1).max() < 3e-7
+    beyond = np.array([-40.0, -40.001, -1e30, -np.inf, np.nan])
+    assert np.all(single(SINGLE.precise_exponential, beyond) == 0)
+
+
+def test_inverse_root_over_its_whole_range():
+    x = np.geomspace(1e-30, 1e12, 1_000_003).astype(np.float32)
+    error = single(inverse_root, x) * np.sqrt(x.astype(float)) - 1
+    assert np.abs(error).max() < 4e-7
 
 
 def test_logarithm_over_its_whole_range():
@@ -315,6 +341,7 @@ def test_a_particle_on_its_anchor_or_pole_is_finite(which):
 @pytest.mark.parametrize("N", [1, 2, 100, 256, 257, 5000])
 def test_resampling_chooses_the_same_ancestors_as_the_reference(N, rng):
     M = -(-N // K.TILE) * K.TILE
+    scales = rng.uniform(0.01, 1, M // K.TILE)  # of each tile's weights
     for sharpness in (0.1, 3.0, 50.0):
         w = np.zeros(M, dtype=np.float32)
         w[:N] = np.exp(-sharpness * rng.exponential(size=N))
@@ -325,10 +352,10 @@ def test_resampling_chooses_the_same_ancestors_as_the_reference(N, rng):
             np.tile(np.arange(M, dtype=np.float32), (3, 1)),
             np.zeros((3, M), dtype=np.float32),
         )
-        scratch = np.empty(M), np.empty(M, dtype=np.int32), np.empty(M + 1, dtype=np.float32)
+        scaled = w * np.repeat(scales, K.TILE)
         for uniform in (0.0, rng.random(), 1 - 2.0**-32):
-            K.resample(w, N, uniform, *scratch, x, children)
-            exact = pf.systematic(w[:N].astype(float) / w.astype(float).sum(), uniform)
+            RESAMPLING.resample(w, scales, N, uniform, np.empty(M + 1, np.int32), x, children)
+            exact = pf.systematic(scaled[:N] / scaled.sum(), uniform)
             ours = children[0, :N].astype(int)
             assert np.array_equal(children[0], children[2])
             # the sums' last bits may shift a border between neighbours by one
@@ -496,7 +523,18 @@ def test_the_kernels_number_measurement_models_as_the_filters_do():
 @pytest.mark.parametrize(
     ("module", "kernels_"),
     [
-        ("filters.particle", ("particle", "particle_likelihood", "philox", "single", "compile")),
+        (
+            "filters.particle",
+            (
+                "particle",
+                "particle_likelihood",
+                "particle_resampling",
+                "particle_sums",
+                "philox",
+                "single",
+                "compile",
+            ),
+        ),
         ("filters.kalman", ("kalman", "square_root", "angles", "small", "compile")),
         ("filters.access_nodes", ("access_nodes", "square_root", "angles", "compile")),
         ("estimators.maximum_likelihood", ("snapshot", "angles", "small", "compile")),
