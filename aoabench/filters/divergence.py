@@ -16,8 +16,8 @@ from scipy import special
 
 from aoabench.maths.geometry import Array
 from aoabench.params import CheckedParams, param
-from aoabench.roles import Belief, Scenario
-from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
+from aoabench.roles import Belief
+from aoabench.types import Anchors, Estimates, Outcome, Reason
 
 SINGULAR = 1e-6  # least share of a variance that others leave open; single precision has 1e-7
 
@@ -93,13 +93,6 @@ class Filtered(NamedTuple):
     covariance: Array
     nis: Array
     measured: np.ndarray | None = None
-
-
-def layout(batch: Batch, scenario: Scenario) -> Anchors:
-    """The anchors whose extent bounds the positions: all of the scenario if the batch has only
-    those heard at each step, else those of the batch.
-    """
-    return batch.anchors if batch.anchor_id is None else scenario.true_anchors
 
 
 def sound(position: Array, covariance: Array) -> Estimates:

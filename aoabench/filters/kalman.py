@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 
 from aoabench.filters.compiled import COMPONENTS, kind_of
-from aoabench.filters.divergence import Filtered, InnovationBound, layout
+from aoabench.filters.divergence import Filtered, InnovationBound
 from aoabench.filters.roots import absorb, covariance, near, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.loading import Compiled, engine_param
@@ -65,7 +65,7 @@ class _Kalman(InnovationBound, Compiled, Filter):
         """
         belief = believed(batch, scenario)
         filtered = self.filtered(batch, belief)
-        return self.outcomes(filtered, None, layout(batch, scenario), belief)
+        return self.outcomes(filtered, None, batch.layout, belief)
 
     def filtered(self, batch: Batch, belief: Belief) -> Filtered:
         """The recursion over the measurements, in the kernel if it has the measurement model, else

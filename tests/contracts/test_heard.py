@@ -10,7 +10,7 @@ from aoabench.config.presets import options
 from aoabench.engine.draws import Draws
 from aoabench.engine.tiles import call
 from aoabench.errors import UserError
-from aoabench.types import Outcome
+from aoabench.types import Outcome, Reason
 
 ESTIMATORS = [("filter", n) for n in options("filter")] + [
     ("estimator", n) for n in options("estimator")
@@ -86,3 +86,17 @@ def test_the_anchors_heard_are_enough(place, group, name):
         if one is not None:
             least = max(1e-9, near)
             assert np.allclose(one[given], other[given], rtol=least, atol=1e-12, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", ["ekf_toa_aoa", "ekf_vmf"])
+def test_the_bound_of_filters_is_that_of_all_anchors_as_known(name):
+    """Here all anchors are known some 30 m away from where they are."""
+    rest = [f"filter.{name}.extent_factor=0.7", "noise.an_error=common", "noise.an_sigma_m=30"]
+    cell = cell_of("route", "filter", name, rest)
+    estimator, draws = cell.estimators[name], Draws(cell.scenario, cell.noise, 1)
+    found = []
+    for heard_only in (False, estimator.heard_only):
+        truth, batch = draws.tile(0, R, heard_only)
+        found.append(call(estimator, batch, draws, (0, 1, 2), truth).reason == Reason.TOO_FAR)
+    assert np.array_equal(*found)
+    assert 0 < found[0].mean() < 1
