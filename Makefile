@@ -74,6 +74,8 @@ bench: $(VENV)/.bench
 $(VENV)/.bench: $(READY)
 	@echo "adding the libraries that the bench compares with ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation -e '.[bench]'
+	@# works with NumPy 2, which its metadata excludes
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps particles==0.4
 	@touch $@
 
 notebooks: $(READY)

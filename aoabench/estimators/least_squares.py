@@ -25,6 +25,7 @@ from aoabench.estimators.rays import (
     behind,
     judged,
     measured_reason,
+    occupied,
     off_the_poles,
     rays,
     residual_variance,
@@ -57,6 +58,8 @@ class LeastSquares(Compiled, Estimator):
     engine: str = engine_param()
     tile = 1
     by_replication = True
+    heard_only = True
+    per_step = True
     kernels = KERNELS
 
     @property
@@ -70,7 +73,7 @@ class LeastSquares(Compiled, Estimator):
         The covariance follows from the stated variances of the angles, or from one variance that
         the residuals give.
         """
-        compiled = self.compiled(batch.anchors)
+        compiled, batch = self.compiled(batch.anchors), occupied(batch)
         turned, at_pole = off_the_poles(batch)
         if self.rows == "printed":
             turned, at_pole = batch, np.zeros_like(at_pole)
@@ -106,18 +109,18 @@ def by_kernel(
     count, used = np.empty((2, R, T))
     phi, theta, wa, we = (padded(a, compiled.LANES) for a in measured(batch))
     options = (*variant, ROWS.index(rows), stated(batch), tolerance, updates)
-    position, rotation = batch.anchors.frames
-    centre = position.mean(axis=1, keepdims=True)  # (R|1, 1, 3)
+    anchors = batch.anchors
+    centre = anchors.position.mean(axis=2, keepdims=True)  # (R|1, T|1, 1, 3)
     # padded with the last anchor: an anchor of zeros would have angles of NaN
-    s = padded(np.swapaxes(position - centre, 1, 2), compiled.LANES, "edge")
-    rotation = padded(np.moveaxis(rotation, 1, -1), compiled.LANES, "edge")
+    s = padded(np.swapaxes(anchors.position - centre, 2, 3), compiled.LANES, "edge")
+    rotation = padded(np.moveaxis(anchors.rotation, 2, -1), compiled.LANES, "edge")
     for i in range(R):
         j, k = min(i, len(s) - 1), min(i, len(rotation) - 1)
         given = phi[i], theta[i], wa[i], we[i], s[j], rotation[k]
         into = x[i], P[i], outcome[i], reason[i], count[i], used[i]
         compiled.gauss_newton(*options, *given, *into)
     iterations = count if updates else None
-    return Estimates(x + centre, P, iterations, outcome, None, used, reason)
+    return Estimates(x + centre[:, :, 0], P, iterations, outcome, None, used, reason)
 
 
 def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:

@@ -171,6 +171,8 @@ class EKF(_Kalman):
     meaningful derivative and is left out at that step.
     """
 
+    entries = ("ekf",)
+
     def kind(self) -> int | None:
         return kind_of(self.measurement, self.engine) if type(self) is EKF else None
 
@@ -203,6 +205,7 @@ class UKF(_Kalman):
         "or augmented (the noise is a part of the sigma points)",
         choices=("averaged", "centre", "augmented"),
     )
+    entries = ("ukf",)
     finest: ClassVar[float] = 1e-12  # rad^2; with smaller ones rounding loses other components
 
     @property

@@ -8,7 +8,7 @@ README.md. Computing ends in Parquet; drawing starts from it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -175,30 +175,35 @@ def compute(
                 "scale": scale,
             }
     out = raw / s.name  # one folder a study, so that its items share cells
-    overrides = [*item.scale[scale], *([] if reps is None else [f"reps={reps}"])]
+    overrides = list(item.scale[scale])
+    if reps is not None:  # in place of a precision to reach
+        overrides = [o for o in overrides if not o.startswith("until.")] + [f"reps={reps}"]
     cells = compose_cells(
         [f"experiment={item.experiment}", *overrides, file_setting("runner.out", out)]
     )
-    runner.run(cells, title, fresh)
+    wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
+    report = runner.run(cells, title, fresh)
+    wanted |= {(row["cell"], row["estimator"]): row["replications"] for row in report.precision}
     origin = {
         "experiment": item.experiment,
         "cells": [c.config for c in cells],
-        "reps": max(c.reps for c in cells),
+        "reps": max(wanted.values()),
     }
     with progress.shown(title):
         if item.reads in _READERS:
             reader = _READERS[item.reads]
-            found = ((c, _fixes_of(c, reader, out)) for c in cells)
+            found = ((c, _fixes_of(c, reader, out, wanted)) for c in cells)
             return reduce(found), origin
         frame = tables.load(out)
-        wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
         kept = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
         return reduce(frame[frame["replication"] < kept]), origin
 
 
-def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, Fixes]:
-    """The fixes of a cell's replications by estimator."""
-    return {name: reader(out, cell.id, name).first(cell.reps) for name in cell.estimators}
+def _fixes_of(
+    cell: Cell, reader: Callable[..., Fixes], out: Path, reps: Mapping[tuple[str, str], int]
+) -> dict[str, Fixes]:
+    """The fixes by estimator of a cell's first replications, `reps` of each (cell, estimator)."""
+    return {n: reader(out, cell.id, n).first(reps[cell.id, n]) for n in cell.estimators}
 
 
 def draw(
