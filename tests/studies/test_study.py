@@ -1,6 +1,6 @@
 """Loading a study: its YAML files and its modules."""
 
-from aoabench.studies import reproduce, study
+from aoabench.studies import computing, study
 
 
 def made_up(folder):
@@ -35,7 +35,7 @@ def test_provenance_names_the_file_that_computes(tmp_path):
     (tmp_path / "numbers" / "__init__.py").write_text("from .inner import fig1\n")
     (tmp_path / "numbers" / "inner.py").write_text("def fig1(scale):\n    return scale\n")
     item = study.Item("fig1", "", "")
-    frame, origin = reproduce.compute(made_up(tmp_path), item, "quick", tmp_path)
+    frame, origin = computing.compute(made_up(tmp_path), item, "quick", computing.Runs(tmp_path))
     assert frame == "quick"
     assert origin["function"] == "experiments/made_up/numbers/inner.py:fig1"
 
