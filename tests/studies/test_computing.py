@@ -2,10 +2,11 @@
 
 from types import SimpleNamespace
 
+import pandas as pd
 import pytest
 
-from aoabench.store.files import read_provenance
-from aoabench.studies import computing, reproduce, study
+from aoabench.store.files import read_provenance, write_frame
+from aoabench.studies import computing, reproduce, stored, study
 from aoabench.studies.places import Places
 from aoabench.studies.study import Item, Study
 
@@ -84,3 +85,25 @@ def test_a_table_holds_the_seconds_of_its_item_in_the_command(tmp_path, composed
     paths = {one.name: study.table_path(places.results, s, one) for one in s.items}
     assert {name: read_provenance(path)["seconds"] for name, path in paths.items()} == took
     assert {row["item"]: row["seconds"] for row in done.computed} == took
+
+
+def test_a_stored_table_is_read_once_until_it_changes(tmp_path, monkeypatch):
+    s, results = made_up(tmp_path, (item("first"),)), tmp_path / "results"
+    reads, table = [], stored.table
+    monkeypatch.setattr(stored, "table", lambda *words: reads.append(words) or table(*words))
+    monkeypatch.setattr(
+        s.figures, "first_values", lambda frame: {"n": frame["n"][0]}, raising=False
+    )
+    path = study.table_path(results, s, s.items[0])
+
+    def value():
+        return stored.read(s, s.items[0], results).values["n"][0]
+
+    assert not stored.read(s, s.items[0], results).present
+    for n in (1, 2):
+        write_frame(path, pd.DataFrame([{"n": n}]), {})
+        assert (value(), value(), len(reads)) == (n, n, n)
+    monkeypatch.setattr(s.figures, "first_values", lambda frame: {"n": -frame["n"][0]})
+    assert (value(), len(reads)) == (-2, 3)
+    path.unlink()
+    assert not stored.read(s, s.items[0], results).present
