@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
 from aoabench.config.overrides import file_setting
 from aoabench.engine import runner
@@ -22,7 +21,7 @@ from aoabench.errors import UserError
 from aoabench.resources import committing
 from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
-from aoabench.store.fixes import Fixes, fixes, steps
+from aoabench.store.fixes import Read, fixes, steps
 from aoabench.studies import findings, page, progress, screen, statements, stored, study
 from aoabench.studies.choice import Pair, cheapest_first, chosen
 from aoabench.studies.decide import needs
@@ -188,17 +187,12 @@ def compute(
     with progress.shown(title):
         if item.reads in _READERS:
             reader = _READERS[item.reads]
-            found = ((c, _fixes_of(c, reader, out)) for c in cells)
+            found = ((c, Read(reader, out, c.id, c.estimators, c.reps)) for c in cells)
             return reduce(found), origin
         frame = tables.load(out)
         wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
         kept = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
         return reduce(frame[frame["replication"] < kept]), origin
-
-
-def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, Fixes]:
-    """The fixes of a cell's replications by estimator."""
-    return {name: reader(out, cell.id, name).first(cell.reps) for name in cell.estimators}
 
 
 def draw(
