@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from aoabench.config.compose import compose_cells
 from aoabench.config.overrides import file_setting
 from aoabench.engine import runner
 from aoabench.store import tables
-from aoabench.store.fixes import Fixes, fixes, steps
+from aoabench.store.fixes import Read, fixes, steps
 from aoabench.studies import progress, study
 
 _READERS = {"fixes": fixes, "steps": steps}
@@ -20,10 +19,10 @@ _READERS = {"fixes": fixes, "steps": steps}
 
 @dataclass(frozen=True)
 class Ran:
-    """The cells of a run, and the number of replications of each (cell, estimator)."""
+    """The cells of a run, and the number of replications of each by its id."""
 
     cells: list[Cell]
-    reps: dict[tuple[str, str], int]
+    reps: dict[str, int]
 
 
 @dataclass
@@ -46,11 +45,9 @@ class Runs:
         words = [*overrides, file_setting("runner.out", self.folder(s))]
         if self._last[0] != words:
             cells = compose_cells(words)
-            reps = {(c.id, name): c.reps for c in cells for name in c.estimators}
+            reps = {cell.id: cell.reps for cell in cells}
             report = runner.run(cells, title, self.fresh)
-            reps |= {
-                (row["cell"], row["estimator"]): row["replications"] for row in report.precision
-            }
+            reps |= {row["cell"]: row["replications"] for row in report.precision}
             self._last = words, Ran(cells, reps)
         return self._last[1]
 
@@ -86,12 +83,9 @@ def compute(
     with progress.shown(title):
         if item.reads in _READERS:
             reader = _READERS[item.reads]
-            return reduce((c, _fixes_of(c, reader, out, ran)) for c in ran.cells), origin
+            found = ((c, Read(reader, out, c.id, c.estimators, ran.reps[c.id])) for c in ran.cells)
+            return reduce(found), origin
         frame = tables.load(out)
-        kept = [ran.reps.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
+        wanted = {(c.id, name): ran.reps[c.id] for c in ran.cells for name in c.estimators}
+        kept = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
         return reduce(frame[frame["replication"] < kept]), origin
-
-
-def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path, ran: Ran) -> dict[str, Fixes]:
-    """The fixes of a cell's replications by estimator."""
-    return {n: reader(out, cell.id, n).first(ran.reps[cell.id, n]) for n in cell.estimators}
