@@ -184,10 +184,8 @@ class Draws:
 
 def _sampler(noise: Noise) -> Callable[..., Measurements]:
     """The noise's `sample_tile`, or a loop over `sample` if its class overrides `sample` alone."""
-    both = {"sample", "sample_tile"}
-    last = next(
-        vars(base).keys() & both for base in type(noise).__mro__ if vars(base).keys() & both
-    )
+    defined = ({"sample", "sample_tile"} & vars(base).keys() for base in type(noise).__mro__)
+    last = next(names for names in defined if names)
     return noise.sample_tile if "sample_tile" in last else partial(Noise.sample_tile, noise)
 
 
