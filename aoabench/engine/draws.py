@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -173,12 +173,20 @@ class Draws:
         recorded = self.scenario.recorded
         if recorded is not None:
             return Measurements.stacked([recorded] * len(numbers))
-        measured = self.noise.sample_tile(self._rngs(numbers, MEASUREMENT), self.scenario, truth)
+        rngs = self._rngs(numbers, MEASUREMENT)
+        measured = _sampler(self.noise)(rngs, self.scenario, truth)
         ids = measured.anchor_id
         return measured if ids is None or ids.ndim == 3 else replace(measured, anchor_id=ids[None])
 
     def _rngs(self, numbers: range, role: int, purpose: int = 0) -> Sequence[np.random.Generator]:
         return generators(self.seed, self.scenario.name, numbers, role, purpose)
+
+
+def _sampler(noise: Noise) -> Callable[..., Measurements]:
+    """The noise's `sample_tile`, or a loop over `sample` if its class overrides `sample` alone."""
+    defined = ({"sample", "sample_tile"} & vars(base).keys() for base in type(noise).__mro__)
+    last = next(names for names in defined if names)
+    return noise.sample_tile if "sample_tile" in last else partial(Noise.sample_tile, noise)
 
 
 def together(each: Sequence[Anchors]) -> Anchors:
