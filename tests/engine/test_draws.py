@@ -7,8 +7,9 @@ import pytest
 
 from aoabench.config.compose import compose_cells
 from aoabench.engine.block import run_block
-from aoabench.engine.draws import Draws
+from aoabench.engine.draws import Drawn, Draws
 from aoabench.engine.tiles import tile_of
+from aoabench.engine.timing import time_estimators
 from aoabench.noise.angular import VonMisesFisher
 from aoabench.roles import Estimator
 from aoabench.types import Batch, Estimates
@@ -112,6 +113,15 @@ class Sure(Seen):
         P = np.broadcast_to(2500.0 * np.eye(3), (*found.outcome.shape, 3, 3))
         position = np.broadcast_to([80.0, 56.0, 0.0], found.position.shape)
         return Estimates(position, P, None, found.outcome)
+
+
+def test_batches_of_all_anchors_are_made_for_those_that_take_them_alone(monkeypatch):
+    """They are thirteen times as large as those of the 8 access nodes that are heard."""
+    monkeypatch.delattr(Drawn, "whole")
+    cell = compose_cells([*PLACES["route"], *WORDS])[0]
+    found = run_block(cell.scenario, cell.noise, {"mine": Seen(True)}, 1, 0, 70)
+    assert len(found["mine"]["rows"]["rmse_3d_m"]) == 70
+    assert "mine" in time_estimators(cell.scenario, cell.noise, {"mine": Seen(True)}, 1, 4)
 
 
 def test_the_derived_tile_of_those_that_take_the_anchors_heard():
