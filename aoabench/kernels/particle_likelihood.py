@@ -21,7 +21,7 @@ from aoabench.kernels.single import HALF, ZERO, arctan, as_float, as_int, f4, i4
 from aoabench.kernels.small import AZEL, UNIT_VECTOR
 
 ROWS = 181  # of the table for AZEL_ADAPTIVE; see `loglik`
-SCRATCH = 7 * TILE
+SCRATCH = 9 * TILE
 TERMS = 15  # columns of the table of coefficients; see `loglik`
 
 FOUR, HALF_PI = f4(4.0), f4(math.pi / 2)
@@ -136,40 +136,72 @@ def azel_tile(x, y, z, terms, out, a, e):
 
 
 @inlined
+def row_and_squares(a, e, half):
+    """Place of a row in the table, as bits of a float, and squares of the residuals of azimuth and
+    elevation in rad^2, of one particle for one anchor, from its `tangents`.
+    """
+    a, e = half_angles(a, e)
+    degree = min(max(i4(np.rint(e * DEGREES + NINETY)), _0), _180)
+    e -= half
+    return as_float(i4(degree << _2)), FOUR * a * a, FOUR * e * e
+
+
+@inlined
+def adaptive_tile(x, y, z, terms, table, out, a, e, index, a2, e2, rows):
+    """`loglik_tile` for AZEL_ADAPTIVE; a, e, index, a2, e2 (TILE,) and rows (4 TILE,) are scratch.
+
+    As in `azel_tile`, a loop works on two anchors.
+    """
+    t = place(terms[0])
+    for i in range(TILE):
+        a[i], e[i] = tangents(x[i], y[i], z[i], t)
+    last = terms.shape[0] - 1
+    for j in range(last + 1):
+        r = terms[j]
+        half, ta, te = HALF * r[12], r[13], r[14]
+        if j < last:
+            t = place(terms[j + 1])
+            for i in range(TILE):
+                index[i], a2[i], e2[i] = row_and_squares(a[i], e[i], half)
+                a[i], e[i] = tangents(x[i], y[i], z[i], t)
+        else:
+            for i in range(TILE):
+                index[i], a2[i], e2[i] = row_and_squares(a[i], e[i], half)
+        for i in range(TILE):
+            copy_row(table, as_int(index[i]), rows, i)
+        for i in range(TILE):
+            wa, we, la, le = rows[4 * i], rows[4 * i + 1], rows[4 * i + 2], rows[4 * i + 3]
+            out[i] += ta * (la - wa * a2[i]) + te * (le - we * e2[i])
+
+
+@inlined
+def direction_tile(x, y, z, terms, out):
+    """`loglik_tile` for UNIT_VECTOR."""
+    for j in range(terms.shape[0]):
+        t = place(terms[j])
+        for i in range(TILE):
+            px, py, pz = x[i] - t[0], y[i] - t[1], z[i] - t[2]
+            inverse = inverse_root(px * px + py * py + pz * pz + TINY)
+            ex, ey, ez = t[3] - px * inverse, t[4] - py * inverse, t[5] - pz * inverse
+            out[i] -= t[6] * (ex * ex + ey * ey + ez * ez)
+
+
+@inlined
 def loglik_tile(kind, x, y, z, terms, table, start, out, scratch):
     """Log likelihood of one step for one tile, plus `start`, into out (TILE,); see `loglik`."""
     for i in range(TILE):
         out[i] = start
-    if kind == AZEL:
-        azel_tile(x, y, z, terms, out, scratch[:TILE], scratch[TILE : 2 * TILE])
+    if terms.shape[0] == 0:
         return
-    for j in range(terms.shape[0]):
-        r = terms[j]
-        t = place(r)
-        if kind == UNIT_VECTOR:
-            for i in range(TILE):
-                px, py, pz = x[i] - t[0], y[i] - t[1], z[i] - t[2]
-                inverse = inverse_root(px * px + py * py + pz * pz + TINY)
-                ex, ey, ez = t[3] - px * inverse, t[4] - py * inverse, t[5] - pz * inverse
-                out[i] -= t[6] * (ex * ex + ey * ey + ez * ez)
-        else:
-            ta, te = r[13], r[14]
-            half, rows = HALF * r[12], scratch[3 * TILE :]
-            for i in range(TILE):
-                rows[i], rows[TILE + i] = tangents(x[i], y[i], z[i], t)
-            for i in range(TILE):
-                a, e = half_angles(rows[i], rows[TILE + i])
-                degree = min(max(i4(np.rint(e * DEGREES + NINETY)), _0), _180)
-                scratch[i] = as_float(i4(degree << _2))
-                e -= half
-                scratch[TILE + i] = FOUR * a * a
-                scratch[2 * TILE + i] = FOUR * e * e
-            for i in range(TILE):
-                copy_row(table, as_int(scratch[i]), rows, i)
-            for i in range(TILE):
-                wa, we, la, le = rows[4 * i], rows[4 * i + 1], rows[4 * i + 2], rows[4 * i + 3]
-                a2, e2 = scratch[TILE + i], scratch[2 * TILE + i]
-                out[i] += ta * (la - wa * a2) + te * (le - we * e2)
+    a, e = scratch[:TILE], scratch[TILE : 2 * TILE]
+    if kind == UNIT_VECTOR:
+        direction_tile(x, y, z, terms, out)
+    elif kind == AZEL:
+        azel_tile(x, y, z, terms, out, a, e)
+    else:
+        index, a2 = scratch[2 * TILE : 3 * TILE], scratch[3 * TILE : 4 * TILE]
+        e2, rows = scratch[4 * TILE : 5 * TILE], scratch[5 * TILE :]
+        adaptive_tile(x, y, z, terms, table, out, a, e, index, a2, e2, rows)
 
 
 @kernel("void(i8, f4[::1], f4[::1], f4[::1], f4[:,::1], f4[::1], f4[::1])")
