@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -159,23 +159,34 @@ class Draws:
         )
 
     def _truth(self, numbers: range) -> Array:
-        """True states (R, T, n); one for all replications if the scenario `shares_positions`."""
-        if self.scenario.shares_positions:
-            (rng,) = self._rngs(range(1), TRUTH)
-            return np.stack([self.scenario.truth(rng)] * len(numbers))
-        return np.stack([self.scenario.truth(rng) for rng in self._rngs(numbers, TRUTH)])
+        """True states (R, T, n), a view of one array if they are equal in all replications, as they
+        are in a scenario that `shares_positions`.
+        """
+        drawn = range(1) if self.scenario.shares_positions else numbers
+        each = [self.scenario.truth(rng) for rng in self._rngs(drawn, TRUTH)]
+        if all(np.array_equal(states, each[0]) for states in each[1:]):
+            return np.broadcast_to(each[0], (len(numbers), *each[0].shape))
+        return np.stack(each)
 
     def _measured(self, numbers: range, truth: Array) -> Measurements:
         """The noise's measurements (R, T, K), or the scenario's recording (R, T, B)."""
         recorded = self.scenario.recorded
         if recorded is not None:
             return Measurements.stacked([recorded] * len(numbers))
-        measured = self.noise.sample_tile(self._rngs(numbers, MEASUREMENT), self.scenario, truth)
+        rngs = self._rngs(numbers, MEASUREMENT)
+        measured = _sampler(self.noise)(rngs, self.scenario, truth)
         ids = measured.anchor_id
         return measured if ids is None or ids.ndim == 3 else replace(measured, anchor_id=ids[None])
 
     def _rngs(self, numbers: range, role: int, purpose: int = 0) -> Sequence[np.random.Generator]:
         return generators(self.seed, self.scenario.name, numbers, role, purpose)
+
+
+def _sampler(noise: Noise) -> Callable[..., Measurements]:
+    """The noise's `sample_tile`, or a loop over `sample` if its class overrides `sample` alone."""
+    defined = ({"sample", "sample_tile"} & vars(base).keys() for base in type(noise).__mro__)
+    last = next(names for names in defined if names)
+    return noise.sample_tile if "sample_tile" in last else partial(Noise.sample_tile, noise)
 
 
 def together(each: Sequence[Anchors]) -> Anchors:

@@ -21,8 +21,10 @@ from aoabench.kernels.compile import inlined, kernel
 from aoabench.kernels.particle_likelihood import SCRATCH, loglik_tile, stack, stack_f8, stack_i4
 from aoabench.kernels.particle_resampling import family, parents
 from aoabench.kernels.particle_sums import SUMS, added, report, summed
-from aoabench.kernels.philox import TILE, normals, turn, u8
+from aoabench.kernels.philox import TILE, draw, normals, turn, u8
 from aoabench.kernels.single import ZERO, f4, i4, larger
+
+__all__ = ["TILE", "draw", "lap", "normals", "turn"]
 
 
 @inlined

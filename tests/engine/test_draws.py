@@ -1,5 +1,7 @@
 """Tiles of simulated replications: of all anchors, and of those heard at each step."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from aoabench.config.compose import compose_cells
 from aoabench.engine.block import run_block
 from aoabench.engine.draws import Draws
 from aoabench.engine.tiles import tile_of
+from aoabench.noise.angular import VonMisesFisher
 from aoabench.roles import Estimator
 from aoabench.types import Batch, Estimates
 
@@ -119,3 +122,18 @@ def test_the_derived_tile_of_those_that_take_the_anchors_heard():
     assert tile_of(few, cell.scenario) == 32  # of 8 access nodes
     track = compose_cells(["scenario=square_track", "noise=vmf", "filter=[ekf_vmf]"])[0]
     assert tile_of(few, track.scenario) == tile_of(every, track.scenario) == 128
+
+
+def test_a_noise_that_overrides_sample_alone_is_heard():
+    """A class derived from a shipped noise inherits `sample_tile`, which would not call it."""
+
+    class Turned(VonMisesFisher):
+        def sample(self, rng, scenario, truth):
+            found = super().sample(rng, scenario, truth)
+            return replace(found, elevation=found.elevation + 0.1)
+
+    cell = compose_cells(["noise=vmf", "filter=[ekf_vmf]"])[0]
+    plain, turned = VonMisesFisher(10.0), Turned(10.0)
+    batches = [Draws(cell.scenario, noise, 0).tile(0, 4)[1] for noise in (plain, turned)]
+    assert np.array_equal(batches[1].elevation, batches[0].elevation + 0.1)
+    assert np.array_equal(batches[1].azimuth, batches[0].azimuth)

@@ -2,6 +2,7 @@
 fixes.
 """
 
+import dataclasses
 import inspect
 
 import matplotlib.pyplot as plt
@@ -465,6 +466,22 @@ def cep90(e):
     return float(np.quantile(e, 0.9))
 
 
+def test_an_rmse_over_campaigns_is_the_jackknife_of_the_plain_one(rng):
+    e = np.where(rng.random((12, 40)) < 0.2, NAN, rng.rayleigh(1.0, (12, 40)))
+    plain = statistics.jackknife(e, common.rms)
+    assert dataclasses.astuple(common.rmse(e)) == pytest.approx(dataclasses.astuple(plain))
+    cube = e.reshape(12, 8, 5)
+    assert common.rmse(cube).value == pytest.approx(plain.value)
+
+
+def test_ranks_share_the_mean_of_equal_values(rng):
+    x = rng.integers(0, 6, 30).astype(float)
+    assert np.array_equal(inspect.getmodule(numbers.areas)._ranks(x), stats.rankdata(x))
+    y = rng.normal(size=(4, 30))
+    wanted = stats.spearmanr(y.mean(axis=0), x).statistic
+    assert inspect.getmodule(numbers.areas)._rank_correlation(x, y) == pytest.approx(wanted)
+
+
 def test_quantiles_have_the_error_of_the_jackknife_where_that_is_right():
     e = disturbed(7)
     found = {name: number.estimate for name, number in measures(e).items()}
@@ -602,7 +619,7 @@ def test_sets_that_differ_are_those_that_the_votes_choose(cells):
     """Against the votes themselves, fix by fix."""
     cell = cells[EXPERIMENT][0]
     names = ("df_boxes_10", "df_exact_10")
-    found, _ = numbers.comparisons.unlike(cell, *names, 2)
+    ((found, _),) = numbers.comparisons.unlike(cell, [names], 2)
     draws = Draws(cell.scenario, cell.noise, cell.seed)
     _, batch = draws.tile(0, 8)
     chosen = []

@@ -245,6 +245,11 @@ def models(sigma_deg):
     ]
 
 
+def coefficients(which, y, r, anchors):
+    """The terms of one step for measurements (1, m) and their variances."""
+    return inputs.terms(which, y[None], r[None], anchors, np.zeros((1, 3)))[0, 0]
+
+
 @pytest.mark.parametrize("sigma_deg", [30.0, 10.0, 1.8118])  # the last one: kappa = 1000
 @pytest.mark.parametrize("which", range(3), ids=KINDS)
 @pytest.mark.parametrize("B", [1, 4, 9])
@@ -276,8 +281,8 @@ def test_log_weights_of_one_step(sigma_deg, which, B, rng):
         LIKELIHOOD.loglik(
             which,
             *x,
-            inputs.terms(which, y, r, anchors, np.zeros(3))[0],
-            inputs.weights_table(h),
+            coefficients(which, y, r, anchors),
+            inputs.weights_table(h, which),
             out,
         )
         seen = exact > exact.max() - 46
@@ -317,7 +322,7 @@ def test_what_is_not_measured_is_left_out(which, rng):
     out = np.empty(M, dtype=np.float32)
     x = np.ascontiguousarray(particles.T.astype(np.float32))
     LIKELIHOOD.loglik(
-        which, *x, inputs.terms(which, y, r, anchors, np.zeros(3))[0], inputs.weights_table(h), out
+        which, *x, coefficients(which, y, r, anchors), inputs.weights_table(h, which), out
     )
     difference = out - h.loglik(particles[None], anchors, y, r)[0]
     assert np.abs(difference - np.median(difference)).max() < (0.3 if which == 2 else 1e-4)
@@ -330,8 +335,8 @@ def test_a_particle_on_its_anchor_or_pole_is_finite(which):
     x = np.zeros((3, K.TILE), dtype=np.float32)
     x[2, 1], x[2, 2] = 2.0, -2.0
     out = np.empty(K.TILE, dtype=np.float32)
-    terms = inputs.terms(which, y, np.full(y.shape, 0.03), anchors, np.zeros(3))[0]
-    LIKELIHOOD.loglik(which, *x, terms, inputs.weights_table(h), out)
+    terms = coefficients(which, y, np.full(y.shape, 0.03), anchors)
+    LIKELIHOOD.loglik(which, *x, terms, inputs.weights_table(h, which), out)
     assert np.all(np.isfinite(out))
 
 
@@ -471,6 +476,43 @@ def test_any_number_of_anchors_and_particles_and_any_linear_motion(B, N, which, 
     )  # a particle on a border of the table's rows
     assert np.allclose(fast.position, exact.position, **tolerance)
     assert np.allclose(fast.covariance, exact.covariance, **tolerance)
+
+
+@pytest.mark.parametrize("which", range(3), ids=KINDS)
+def test_anchors_of_each_step(which, rng):
+    """Two replications whose anchors stand elsewhere at each step: as by the slow likelihood at
+    those of each step.
+    """
+    R, T, B = 2, 4, 3
+    h, turned = models(20.0)[which], rotations(rng, R * T * B).reshape(R, T, B, 3, 3)
+    anchors = Anchors(rng.uniform(-5, 5, (R, T, B, 3)), turned)
+    at = rng.normal(size=(R, T, 3))
+    seen = [AzEl(20.0).predict(at[:, k], anchors.at(k)).reshape(R, B, 2) for k in range(T)]
+    angles = np.stack(seen, axis=1) + 0.1 * rng.normal(size=(R, T, B, 2))
+    mean, cov = np.array([[3.0, 1, -2], [0, 1, 2]]), 2 * np.eye(3)
+    batch = Batch(angles[..., 0], angles[..., 1], anchors, prior_mean=mean, prior_cov=cov)
+    fast, exact = (
+        pf.ParticleFilter(h, 257, 0.3, engine)(batch, Still(), Streams(3, "still", (11, 12)))
+        for engine in ("auto", "double")
+    )
+    tolerance = 2e-5 if which < 2 else 2e-3
+    assert np.allclose(fast.position, exact.position, rtol=0, atol=tolerance)
+    assert np.allclose(fast.covariance, exact.covariance, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize(("particles", "tile"), [(100, 16), (1000, 4), (3000, 1), (10_000, 1)])
+def test_a_tile_has_the_bits_of_each_of_its_replications(particles, tile):
+    cell = cell_with("pf_ae_adaptive", "noise=vmf")
+    estimator = replace(next(iter(cell.estimators.values())), particles=particles)
+    draws = Draws(cell.scenario, cell.noise, cell.seed)
+    assert estimator.tile == tile
+    together = estimate_tile(draws, estimator, 0)[1]
+    _, batch = draws.tile(0, tile)
+    for i in range(0, tile, 3):
+        streams = Streams(cell.seed, cell.scenario.name, (i,))
+        alone = estimator(batch.of(i), cell.scenario, streams)
+        assert np.array_equal(together.position[i], alone.position[0])
+        assert np.array_equal(together.covariance[i], alone.covariance[0])
 
 
 @pytest.mark.parametrize("name", NAMES)

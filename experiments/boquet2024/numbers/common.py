@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
@@ -19,7 +19,7 @@ from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 
 X, Y = TypeVar("X"), TypeVar("Y")
-Runs = Iterable[tuple[Cell, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
+Runs = Iterable[tuple[Cell, Mapping[str, Fixes]]]  # a cell and the fixes of each of its estimators
 METHODS = (
     "single_anchor_1",
     "single_anchor_2",
@@ -81,6 +81,23 @@ def rms(e: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(e**2)))
 
 
+def rmse(e: np.ndarray) -> Estimate:
+    """Root mean square of the given errors (R, ...), with its standard error over campaigns."""
+    return statistics.jackknife(squares(e), root_mean_square)
+
+
+def squares(e: np.ndarray) -> np.ndarray:
+    """Each campaign's sum of the squares of the given errors (R, ...), and their number: (R, 2)."""
+    each = e.reshape(len(e), -1)
+    return np.stack([np.nansum(each**2, axis=1), np.isfinite(each).sum(axis=1)], axis=1)
+
+
+def root_mean_square(sums: np.ndarray) -> float:
+    """Root mean square of the errors of all campaigns from their `squares` (R, 2)."""
+    total, count = sums.sum(axis=0)
+    return float(np.sqrt(total / count))
+
+
 def tail(e: np.ndarray) -> float:
     """The 99 % quantile of the given errors over their median."""
     return float(np.divide(*np.nanquantile(e, [0.99, 0.5])))
@@ -118,11 +135,12 @@ def medians(e: np.ndarray, points: int) -> np.ndarray:
         return np.nanmedian(e.reshape(len(e), points, -1), axis=2)
 
 
-def filters(fixes: dict[str, Fixes], kind: str = "boxes") -> dict[float, Fixes]:
+def filters(fixes: Mapping[str, Fixes], kind: str = "boxes") -> dict[float, Fixes]:
     """The discrepancy filters of a run by R_sigma; df_boxes_04 is that of 0.4."""
-    return {int(name[-2:]) / 10: f for name, f in fixes.items() if name.startswith(f"df_{kind}_")}
+    names = [name for name in fixes if name.startswith(f"df_{kind}_")]
+    return {int(name[-2:]) / 10: fixes[name] for name in names}
 
 
-def only(runs: Runs) -> tuple[Cell, dict[str, Fixes]]:
+def only(runs: Runs) -> tuple[Cell, Mapping[str, Fixes]]:
     """The one cell of a run."""
     return next(iter(runs))
