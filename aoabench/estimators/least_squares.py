@@ -40,6 +40,7 @@ from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates
 
 KERNELS = "kernels.snapshot"
+TINY = np.finfo(float).tiny  # rad^2: a smaller variance has no finite inverse
 
 
 ROWS = ("printed", "invariant")
@@ -111,7 +112,7 @@ def by_kernel(
     angles = tuple(padded(a, compiled.LANES) for a in measured(batch))
     options = (*variant, ROWS.index(rows), stated(batch), tolerance, updates)
     position, rotation = batch.anchors.position, batch.anchors.rotation
-    centre = position.mean(axis=2, keepdims=True)  # (R|1, T|1, 1, 3)
+    centre = position.sum(axis=2, keepdims=True) / B  # (R|1, T|1, 1, 3)
     anchors = padded_anchors(position - centre, rotation, compiled.LANES)
     for one in calls(angles, anchors, (x, P, outcome, reason, count, used)):
         compiled.gauss_newton(*options, *one)
@@ -127,11 +128,14 @@ def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
         (batch.azimuth, batch.azimuth_sigma),
         (batch.elevation, batch.elevation_sigma),
     ):
-        with np.errstate(divide="ignore"):
-            w = np.ones_like(y) if sigma is None else 1.0 / np.square(sigma)
-        known = np.isfinite(y) & np.isfinite(w) & (w > 0)
+        known = np.isfinite(y)
+        if sigma is None:
+            weights.append(known.astype(float))
+        else:
+            variance = np.square(sigma)
+            known &= (variance >= TINY) & np.isfinite(variance)
+            weights.append(np.divide(1.0, variance, out=np.zeros_like(y), where=known))
         angles.append(np.where(known, y, 0.0))
-        weights.append(np.where(known, w, 0.0))
     return angles[0], angles[1], weights[0], weights[1]
 
 

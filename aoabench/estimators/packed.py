@@ -29,8 +29,8 @@ def padded_anchors(position: Array, rotation: Array, lanes: int) -> tuple[Array,
     """Positions (R|1, T|1, 3, B) and rotations (R|1, T|1, 3, 3, B), the last anchor repeated: an
     anchor of zeros would have angles of NaN.
     """
-    s = padded(np.swapaxes(position, 2, 3), lanes, "edge")
-    return s, padded(np.moveaxis(rotation, 2, -1), lanes, "edge")
+    s = padded(position.transpose(0, 1, 3, 2), lanes, "edge")
+    return s, padded(rotation.transpose(0, 1, 3, 4, 2), lanes, "edge")
 
 
 def measured_rays(batch: Batch, lanes: int) -> tuple[int, tuple[Array, ...]]:
@@ -63,7 +63,7 @@ def calls(
     """Arguments (N, ...) of a kernel's calls: for all fixes at once where the anchors are the same,
     else for each replication. measured, into: arrays (R, T, ...); anchors (R|1, T|1, ...).
     """
-    if all(a.shape[:2] == (1, 1) for a in anchors):
+    if len(into[0]) > 1 and all(a.shape[:2] == (1, 1) for a in anchors):
         measured, into = (
             tuple(a.reshape(1, -1, *a.shape[2:]) for a in group) for group in (measured, into)
         )

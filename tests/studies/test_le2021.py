@@ -272,3 +272,22 @@ def test_figure_5_counts_stations_positions_and_elevation():
     values = {key: e.value for key, e in LE.figures.fig5_values(frame).items()}
     assert (values["fig5/base_stations"], values["fig5/positions"]) == (1, 2)
     assert values["fig5/largest_elevation"] == pytest.approx(np.degrees(np.arctan(10 / 50)))
+
+
+def test_medians_leave_out_groups_of_positions(rng):
+    """Equal to numpy's median of what is left, with ties, and with positions without errors."""
+    error = np.round(rng.gamma(1.0, 5.0, (7, 45)), 1)
+    member, other = rng.random((2, *error.shape)) < 0.4
+    member[:, :3] = False
+    found = N.common.median(error, member)
+    ratio = N.common.median_ratio(np.where(member, error, np.nan), np.where(other, error, np.nan))
+    group = np.arange(45) % N.common.GROUPS
+    left = [np.median(error[:, group != g][member[:, group != g]]) for g in range(N.common.GROUPS)]
+    below = [np.median(error[:, group != g][other[:, group != g]]) for g in range(N.common.GROUPS)]
+    factor = (N.common.GROUPS - 1) / N.common.GROUPS
+    assert found.value == np.median(error[member])
+    assert found.se == pytest.approx(np.sqrt(factor * np.sum((left - np.mean(left)) ** 2)))
+    over = np.divide(left, below)
+    assert ratio.value == np.median(error[member]) / np.median(error[other])
+    assert ratio.se == pytest.approx(np.sqrt(factor * np.sum((over - over.mean()) ** 2)))
+    assert np.isnan(N.common.median(error, member & False).value)

@@ -68,26 +68,43 @@ def iterated(f: Fixes) -> np.ndarray:
     return np.where(f.reason == Reason.BEHIND, Outcome.OK, f.outcome)
 
 
-def middle(error: np.ndarray) -> float:
-    """Median of errors of any shape; NaN without any."""
-    given = error[np.isfinite(error)]
-    return float(np.median(given)) if len(given) else float("nan")
+class Ascending:
+    """Finite errors (R, P) in ascending order, with the position of each, for medians over some
+    positions.
+    """
+
+    def __init__(self, error: np.ndarray) -> None:
+        draw, position = np.nonzero(np.isfinite(error))
+        values = error[draw, position]
+        order = np.argsort(values)
+        self.values, self.position = values[order], position[order]
+        self.kept = np.zeros(error.shape[1], dtype=bool)
+
+    def middle(self, positions: np.ndarray) -> float:
+        """Median of the errors at some positions, given by their indices; NaN without any."""
+        self.kept[:] = False
+        self.kept[positions] = True
+        places = np.flatnonzero(self.kept[self.position])
+        n = len(places)
+        return float(self.values[places[(n - 1) // 2 : n // 2 + 1]].mean()) if n else float("nan")
 
 
 def median(error: np.ndarray, member: np.ndarray) -> Estimate:
     """Median error of some fixes (R, P); its standard error by leaving out each group of positions
     in turn.
     """
-    return statistics.jackknife(np.where(member, error, np.nan).T, middle, GROUPS)
+    found = Ascending(np.where(member, error, np.nan))
+    return statistics.jackknife(np.arange(error.shape[1]), found.middle, GROUPS)
 
 
 def median_ratio(error: np.ndarray, other: np.ndarray) -> Estimate:
     """Median of errors (R, P) over that of others at the same positions (NaN: none); its standard
     error by leaving out each group of positions in turn.
     """
+    above, below = Ascending(error), Ascending(other)
 
-    def ratio(pair: np.ndarray) -> float:
-        below = middle(pair[..., 1])
-        return middle(pair[..., 0]) / below if below > 0 else float("nan")
+    def ratio(positions: np.ndarray) -> float:
+        least = below.middle(positions)
+        return above.middle(positions) / least if least > 0 else float("nan")
 
-    return statistics.jackknife(np.stack([error.T, other.T], axis=-1), ratio, GROUPS)
+    return statistics.jackknife(np.arange(error.shape[1]), ratio, GROUPS)
