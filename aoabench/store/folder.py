@@ -148,15 +148,13 @@ def reasons(parts: Sequence[Part], reps: int) -> pd.DataFrame:
     """Number `n` of the fixes that are not ok in the first `reps` replications of some parts, by
     replication, outcome and reason.
     """
-    import pandas as pd
+    import pyarrow as pa
 
-    if not any("reasons" in part.files for part in parts):
+    files = [part.files["reasons"] for part in parts if "reasons" in part.files]
+    if not files:
         return _no_reasons()
     columns = schema(KINDS["reasons"])
-    found = [columns.empty_table().to_pandas()]
-    for file in (part.files["reasons"] for part in parts if "reasons" in part.files):
-        found.append(read_table(file, columns).to_pandas())
-    table: pd.DataFrame = pd.concat(found, ignore_index=True)
+    table: pd.DataFrame = pa.concat_tables(read_table(f, columns) for f in files).to_pandas()
     table = table.drop_duplicates(["replication", "outcome", "reason"])
     return table[table["replication"] < reps]
 

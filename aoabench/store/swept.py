@@ -67,7 +67,10 @@ def one_kind(values: pd.Series) -> pd.Series:
     """The column as Parquet can store it: unchanged if its values are all numbers, all text or all
     bool, else as text.
     """
+    if values.dtype.kind in "biuf":
+        return values
     given = values.dropna()
     kinds = {bool if isinstance(v, bool) else str if isinstance(v, str) else float for v in given}
-    text = given.map(lambda v: v if isinstance(v, str) else json.dumps(v))
-    return values if len(kinds) < 2 else text.reindex(values.index)
+    if len(kinds) < 2:
+        return values
+    return given.map(lambda v: v if isinstance(v, str) else json.dumps(v)).reindex(values.index)

@@ -129,6 +129,14 @@ def test_reasons_of_a_plug_in_are_checked(reason, words):
         checked(estimates([[0, 0, 4]], reason), (1, 3), "mine")
 
 
+@pytest.mark.parametrize("kind", [np.int8, np.int64, float])
+@pytest.mark.parametrize("value", [-1, 5])
+def test_outcomes_of_a_plug_in_are_checked(value, kind):
+    given = replace(estimates([[0, 0, 4]]), outcome=np.array([[0, value, 4]], dtype=kind))
+    with pytest.raises(UserError, match=r"Estimates\.outcome must hold values of Outcome"):
+        checked(given, (1, 3), "mine")
+
+
 def test_the_commonest_reason_of_a_replication_and_the_counts(rng):
     outcome = rng.choice([0, 1, 3, 4], size=(30, 12), p=[0.4, 0.2, 0.2, 0.2]).astype(np.int8)
     outcome[3] = 0

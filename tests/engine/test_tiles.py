@@ -7,7 +7,7 @@ import pytest
 
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
-from aoabench.engine import threads, timing
+from aoabench.engine import block, threads, timing
 from aoabench.engine.block import run_block
 from aoabench.engine.draws import Draws
 from aoabench.engine.tiles import tile_of
@@ -45,6 +45,23 @@ def test_tiles_are_aligned_on_the_replications_number(start, stop, track):
         steps = found[name]["steps"]
         assert np.array_equal(steps["x_m"], steps["replication"])
         assert steps["replication"].tolist() == np.repeat(range(start, stop), 64).tolist()
+
+
+def test_rows_do_not_depend_on_how_many_fixes_are_held(monkeypatch):
+    """Tables of a block that ends within a tile, from one tile at a time and from all at once."""
+    words = ["scenario=ble_room", "noise=ble_multipath", "scenario.packets=3"]
+    cell = compose_cells([*words, "estimator=[anchor_mean,discrepancy]"])[0]
+    tables = []
+    for held in (1, 2**20):
+        monkeypatch.setattr(block, "_SPAN", held)
+        given = cell.scenario, cell.noise, cell.estimators, cell.seed
+        tables.append(run_block(*given, 3, 29, steps=True))
+    for name, kinds in tables[0].items():
+        assert {"rows", "reasons", "steps", "fixes"} >= set(kinds) >= {"rows", "steps", "fixes"}
+        for kind, columns in kinds.items():
+            for column, values in columns.items():
+                np.testing.assert_array_equal(values, tables[1][name][kind][column])
+    assert tables[0]["anchor_mean"]["fixes"]["place"].shape == (26, 126)
 
 
 class Unprepared(Estimator):
