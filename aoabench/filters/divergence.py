@@ -101,7 +101,7 @@ def sound(position: Array, covariance: Array) -> Estimates:
     The reason is UNDETERMINED if the position is finite and the covariance is not, else
     NOT_A_NUMBER; the position of a FAILED fix is NaN.
     """
-    if np.isfinite(position).all() and np.isfinite(covariance).all():
+    if np.isfinite(position.sum()) and np.isfinite(covariance.sum()):  # then each number is
         outcome, reason = np.zeros((2, *position.shape[:-1]), dtype=np.int8)  # OK and NONE
         return Estimates(position, covariance, None, outcome, reason=reason)
     known = np.isfinite(position).all(-1)
@@ -139,7 +139,8 @@ def too_far(position: Array, anchors: Anchors, belief: Belief, factor: float) ->
         off = _length(belief.mean[:, None, :3] - centre) + deviation
         extent = np.maximum(apart.max(axis=2, initial=0.0), off)
         bound = np.where(extent > 0, factor * extent, np.inf)
-        if 2 * (np.abs(position).max() + np.abs(centre).max()) < bound.min():
+        furthest = max(position.max(), -position.min())
+        if 2 * (furthest + np.abs(centre).max()) < bound.min():
             return np.zeros(position.shape[:-1], dtype=bool)  # decided faster, without lengths
         return _length(position - centre) > bound
 
@@ -151,11 +152,16 @@ def inconsistent(nis: Array, measured: np.ndarray, tail: float, steps: int) -> n
     The degrees of freedom are the numbers (R, T) of components that are `measured`. A step without
     any neither continues nor ends a run and is not marked.
     """
-    limit = _limits(int(measured.max(initial=0)), tail)
-    above = (nis > limit[measured]) & (measured > 0)
-    count = np.cumsum(above, axis=1, dtype=np.int32)
-    before = count * ((measured > 0) & ~above)
-    return above & (count - np.maximum.accumulate(before, axis=1) >= steps)
+    found = np.zeros(nis.shape, dtype=bool)
+    limit = _limits(max(int(measured.max(initial=0)), 1), tail)
+    some = np.count_nonzero(nis > limit[1], axis=1) >= steps  # the others have no run
+    if some.any():
+        seen = measured[some] > 0
+        above = (nis[some] > limit[measured[some]]) & seen
+        count = np.cumsum(above, axis=1, dtype=np.int32)
+        before = count * (seen & ~above)
+        found[some] = above & (count - np.maximum.accumulate(before, axis=1) >= steps)
+    return found
 
 
 @lru_cache(maxsize=64)
@@ -173,13 +179,13 @@ def degenerate(covariance: Array, singular: float = 0.0) -> np.ndarray:
     axis keeps more than the share `singular` of its variance when those before it are known. The
     rule does not depend on the unit of length.
     """
-    P = covariance
+    below = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
+    a, b, c, d, e, f = (np.ascontiguousarray(covariance[..., i, j]) for i, j in below)
     with np.errstate(all="ignore"):
-        a, b, c = P[..., 0, 0], P[..., 1, 1], P[..., 2, 2]
-        p, q = P[..., 1, 0] / a, P[..., 2, 0] / a
-        second = b - p * P[..., 1, 0]
-        coupled = P[..., 2, 1] - q * P[..., 1, 0]
-        third = c - q * P[..., 2, 0] - coupled * coupled / second
+        p, q = d / a, e / a
+        second = b - p * d
+        coupled = f - q * d
+        third = c - q * e - coupled * coupled / second
         bad = (a <= 0) | (second <= singular * b) | (third <= singular * c)
     return np.asarray(bad)
 

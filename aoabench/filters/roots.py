@@ -9,6 +9,8 @@ Cholesky factor (both are bounded by multiples of sqrt(P_ii P_jj) [Higham 2002, 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from aoabench.kernels.limits import NEAREST, ROUNDED
@@ -21,8 +23,22 @@ INDEFINITE = -1e-9  # eigenvalue of a correlation matrix below which it is not r
 
 
 def prior_root(P: Array) -> Array:
-    """Lower factor B (n, n) of a positive semidefinite P = B B^T; NaN for any other P."""
-    P = np.asarray(P, dtype=float)
+    """Lower factor B (n, n), read-only, of a positive semidefinite P = B B^T; NaN for any other
+    P.
+    """
+    P = np.ascontiguousarray(P, dtype=float)
+    return _prior_root(P.tobytes(), len(P))
+
+
+@lru_cache(maxsize=32)
+def _prior_root(stored: bytes, n: int) -> Array:
+    root = _factor(np.frombuffer(stored).reshape(n, n))
+    root.flags.writeable = False
+    return root
+
+
+def _factor(P: Array) -> Array:
+    """Lower factor (n, n) of P (n, n), as for `prior_root`."""
     if not np.isfinite(P).all():
         return np.full_like(P, np.nan)
     diagonal = np.diag(P)
