@@ -19,7 +19,7 @@ from aoabench.params import CheckedParams, param
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.square_track import SquareTrack
 
-INNER = {"RoundedRoute", "KernelDraws"}  # what plug-ins make for themselves
+INNER = {"RoundedRoute", "KernelDraws", "Links", "_Place"}  # what plug-ins make for themselves
 
 # values of the parameters without default; those of a class go before those of all
 LAYOUT = AnchorLayout([[0.0, 0.0, 1.0]])
