@@ -9,7 +9,7 @@ BIN     := $(VENV)/bin
 READY   := $(VENV)/.ready
 # What a processor's vector features may change: kernels against their references, every estimator's contract
 AVX2 := +avx2,+fma
-KERNEL_TESTS := tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes covariances discrepancy divergence \
+KERNEL_TESTS := tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes centroid_kernel covariances discrepancy divergence \
 	kalman kalman_kernels laws_of_filters particle_kernels snapshot snapshot_covariance)) \
 	$(addprefix tests/contracts/test_,$(addsuffix .py,geometry laws presets))
 # The first interpreter that is new enough, unless the caller names one: make PYTHON=/usr/bin/python3.12
@@ -80,6 +80,8 @@ bench: $(VENV)/.bench
 $(VENV)/.bench: $(READY)
 	@echo "adding the libraries that the bench compares with ..."
 	@$(call install,--no-build-isolation -e '.[bench]')
+	@# particles works with NumPy 2, which its metadata excludes
+	@$(call install,--no-deps particles==0.4)
 	@touch $@
 
 notebooks: $(READY)

@@ -6,7 +6,7 @@ classes are not dataclasses: each plug-in declares its own fields.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from aoabench.errors import BadValue, Unfit
 from aoabench.maths.geometry import Array
 from aoabench.params import CheckedParams
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates, Measurements
+from aoabench.types import Anchors, Batch, Calibration, Estimates, Measurements
 
 # needs of estimators: the config group that offers each, and its description
 NEEDS = {
@@ -122,20 +122,6 @@ class Scenario(CheckedParams):
         return frozenset(found | ({"truth"} if known else set()) | self.recorded.offers())
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """Known deviations of an angular noise.
-
-    `sigma` is the nominal deviation in rad; `fitted` returns the deviations (azimuth, elevation) in
-    rad that fit best over uniform directions; `printed_fit_deg` holds those that a paper prints for
-    sigma = 10 deg.
-    """
-
-    sigma: float
-    fitted: Callable[[], tuple[float, float]]
-    printed_fit_deg: tuple[float, float] | None = None
-
-
 class Noise(CheckedParams):
     """Measurements from the true geometry."""
 
@@ -145,8 +131,17 @@ class Noise(CheckedParams):
         return None
 
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
-        """Measurements of one replication from its true states (T, n)."""
+        """Measurements (T, B) of one replication from its true states (T, n)."""
         raise NotImplementedError
+
+    def sample_tile(
+        self, rngs: Sequence[np.random.Generator], scenario: Scenario, truth: Array
+    ) -> Measurements:
+        """Measurements (R, T, K) of replications with generators `rngs` from true states (R, T, n):
+        the bits of `sample`, of all anchors or of those heard.
+        """
+        each = [self.sample(rng, scenario, states) for rng, states in zip(rngs, truth)]
+        return Measurements.stacked(each)
 
     def known_anchors(self, rng: np.random.Generator, scenario: Scenario) -> Anchors:
         """The anchors (1, T|1, B, ...) as estimators know them in one replication."""
@@ -215,10 +210,12 @@ class Estimator(CheckedParams):
     replication depend on its own data and the size of the tile alone; then a run simulates no
     other replications than it stores. An estimator that needs `truth` is called with the
     true states (R, T, n) as a fourth argument; such an estimator cannot run on a device.
+    heard_only: whether it takes batches of the anchors heard alone (see `Batch`): K is then B.
     """
 
     tile: int | None = None
     by_replication: bool = False
+    heard_only: bool = False
 
     @property
     def needs(self) -> frozenset[str]:

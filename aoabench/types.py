@@ -6,7 +6,8 @@ components. SI units and radians unless a name says otherwise. NaN means "not me
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
 import numpy as np
@@ -140,10 +141,14 @@ class Anchors:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Measurements of one replication; every array (T, B) or None, NaN = not measured.
+    """Measurements of one replication, every array (T, B) or None, or of a tile of replications,
+    every array (R, T, B) or None; NaN = not measured.
 
     azimuth in (-pi, pi] and elevation in rad in the anchor's frame, delay in s, rssi in dBm; the
-    sigmas are the standard deviations that the device itself states, in rad and s.
+    sigmas are the standard deviations that the device itself states, in rad and s. With anchor_id
+    (R|1, T, K), the last axis of a tile's arrays holds the anchors heard at each step only, at most
+    K: their numbers in the scenario from 0, ascending, and -1 for an empty place, where every array
+    is NaN. None: all anchors.
     """
 
     azimuth: Array
@@ -153,6 +158,18 @@ class Measurements:
     azimuth_sigma: Array | None = None
     elevation_sigma: Array | None = None
     delay_sigma: Array | None = None
+    anchor_id: np.ndarray | None = None
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """The measured arrays that are not None."""
+        named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "anchor_id"}
+        return {name: array for name, array in named.items() if array is not None}
+
+    @classmethod
+    def stacked(cls, each: Sequence[Measurements]) -> Measurements:
+        """The measurements (R, T, B) of a tile from those (T, B) of its replications."""
+        return cls(**{n: np.stack([one.arrays[n] for one in each]) for n in each[0].arrays})
 
     def offers(self) -> frozenset[str]:
         """Names of the needs of estimators (roles.NEEDS) that are measured."""
@@ -162,14 +179,30 @@ class Measurements:
 
 
 @dataclass(frozen=True)
+class Calibration:
+    """Known deviations of an angular noise.
+
+    `sigma` is the nominal deviation in rad; `fitted` returns the deviations (azimuth, elevation) in
+    rad that fit best over uniform directions; `printed_fit_deg` holds those that a paper prints for
+    sigma = 10 deg.
+    """
+
+    sigma: float
+    fitted: Callable[[], tuple[float, float]]
+    printed_fit_deg: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
 class Batch:
     """Input of an estimator: measurements of a tile of replications, each array (R, T, B) or None.
 
     anchors: the anchors as known to the estimator, in the order of the last axis; anchor_id
     (R|1, T|1, B): their numbers in the scenario, from 0, -1 for an empty place, None for 0, 1, ...
-    B-1. time (R|1, T) s; None for steps of the scenario's dt. prior_mean (R, n) and prior_cov
-    (n, n) describe the state before the first step (None for snapshot scenarios). A batch does not
-    contain the truth.
+    B-1. A batch of the anchors heard has the places of `Measurements.anchor_id` and anchors
+    (R|1, T, K, ...); an empty place measures nothing and holds finite anchors. `known` are all
+    anchors of the scenario as known to the estimator, None if `anchors` are. time (R|1, T) s; None
+    for steps of the scenario's dt. prior_mean (R, n) and prior_cov (n, n) describe the state before
+    the first step (None for snapshot scenarios). A batch does not contain the truth.
     """
 
     azimuth: Array
@@ -184,15 +217,27 @@ class Batch:
     prior_cov: Array | None = None
     time: Array | None = None
     anchor_id: np.ndarray | None = None
+    known: Anchors | None = None
 
     def of(self, i: int) -> Batch:
         """Return the batch of one replication, in arrays (1, ...); `i` is its index on the first
         axis.
         """
-        names = [f.name for f in fields(self) if f.name not in ("anchors", "prior_cov")]
-        each = {name: getattr(self, name) for name in names}
-        one = {n: a if a is None or len(a) == 1 else a[i : i + 1] for n, a in each.items()}
-        return Batch(anchors=self.anchors.of(i), prior_cov=self.prior_cov, **one)
+        each = self.arrays.items()
+        one = {n: a if a is None or len(a) == 1 else a[i : i + 1] for n, a in each}
+        known = None if self.known is None else self.known.of(i)
+        return replace(self, anchors=self.anchors.of(i), known=known, **one)  # type: ignore[arg-type]
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray | None]:
+        """The fields whose first axis is the replication."""
+        others = ("anchors", "known", "prior_cov")
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in others}
+
+    @property
+    def layout(self) -> Anchors:
+        """All anchors (R|1, T|1, B, ...) as known to the estimator, heard or not."""
+        return self.anchors if self.known is None else self.known
 
     @property
     def numbers(self) -> np.ndarray:

@@ -98,14 +98,14 @@ def time_estimators(
                 seconds += _one_pass(draws, estimator, range(first, first + size), few)
             seconds = seconds[1:] or seconds
             if seconds:
-                steps = draws.tile(0, few)[0].shape[1]
+                steps = draws.drawn(0, few).truth.shape[1]
                 result[name] = Timing(float(np.median(seconds)), size, steps)
     return result
 
 
 def _one_pass(draws: Draws, estimator: Estimator, tile: range, few: int) -> list[float]:
     """Seconds that a tile takes, filled with `few` replications, in a list; empty if it raises."""
-    truth, batch = draws.tile(tile.start, few)
+    truth, batch = draws.tile(tile.start, few, estimator.heard_only)
     if few < len(tile):
         at = np.arange(len(tile)) % few
         truth, batch = truth[at], placed(batch, at)

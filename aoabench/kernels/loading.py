@@ -35,6 +35,7 @@ class Compiled:
 
     engine: str
     kernels: ClassVar[str]  # the module that holds them
+    per_step: ClassVar[bool] = False  # whether they take anchors that differ from step to step
     entries: ClassVar[tuple[str, ...]] = ()  # the kernels of the module that are called; (): all
 
     def prepare(self, say: Say) -> None:
@@ -43,8 +44,11 @@ class Compiled:
             prepare(self.kernels, say, self.entries)
 
     def compiled(self, anchors: Anchors) -> ModuleType | None:
-        """The module of the kernels; None if NumPy is used, as it is for moving anchors."""
-        return load(self.kernels) if self.engine == "auto" and not anchors.moving else None
+        """The module of the kernels; None if NumPy is used, as it is for anchors that move and
+        kernels that are not `per_step`.
+        """
+        fit = self.per_step or not anchors.moving
+        return load(self.kernels) if self.engine == "auto" and fit else None
 
 
 @cache

@@ -21,7 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from aoabench.maths.geometry import LIGHT, Array, in_frames, to_azel, wrap
+from aoabench.maths.geometry import LIGHT, Array, wrap
+from aoabench.maths.places import at_anchors
+from aoabench.noise.links import Links, links_of, shared
 from aoabench.noise.mounting import MountedNoise
 from aoabench.params import param
 from aoabench.roles import Scenario
@@ -29,6 +31,12 @@ from aoabench.types import Anchors, Measurements
 
 PRINTED = ("gain",)  # errata that can be run as printed
 NEAREST = 1.0  # m; the least distance of the path loss model
+
+
+_AT_ONCE = 1 << 15  # measurements whose arrays stay in the cache
+_MEASURED = (
+    "azimuth", "elevation", "delay", "rssi", "azimuth_sigma", "elevation_sigma", "delay_sigma",
+)  # fmt: skip
 
 
 def _level(default: float, help: str, unit: str) -> Any:
@@ -99,7 +107,11 @@ class OfdmCrlb(MountedNoise):
 
     def rss(self, distance: Array, shadowing: Array | float = 0.0) -> Array:
         """Received power (...) dBm after beamforming [(1)]."""
-        return self.power_dbm - self.path_loss(distance) + shadowing + self.array_gain_db
+        return self.power(distance) + shadowing + self.array_gain_db
+
+    def power(self, distance: Array) -> Array:
+        """Received power (...) dBm at one antenna element without shadowing."""
+        return self.power_dbm - self.path_loss(distance)
 
     def delay_sigma(self, rss: Array) -> Array:
         """Deviation (...) s of the time of arrival due to noise alone [(4)]."""
@@ -112,60 +124,103 @@ class OfdmCrlb(MountedNoise):
         """Deviation (...) rad of an angle off broadside (...) rad [(8)]; its cosine is kept above
         `cosine_floor`.
         """
+        return self.spread(rss) / self.aperture(off_broadside)
+
+    def spread(self, rss: Array) -> Array:
+        """Deviation (...) rad of the phase from element to element [(8)]."""
         element = rss if "gain" in self.as_printed else rss - self.array_gain_db
         snr = 10.0 ** (0.1 * (element - self.noise_dbm))
-        cosine = np.maximum(np.abs(np.cos(off_broadside)), self.cosine_floor)
         L = self.elements
-        return np.sqrt(6.0 / (L * (L**2 - 1) * snr)) / (math.pi * cosine)
+        return np.sqrt(6.0 / (L * (L**2 - 1) * snr))
+
+    def aperture(self, off_broadside: Array) -> Array:
+        """Change (...) of that phase per rad of an angle off broadside (...) rad."""
+        return math.pi * np.maximum(np.abs(np.cos(off_broadside)), self.cosine_floor)
 
     def offers(self) -> frozenset[str]:
         """Elevations, times of arrival, signal strengths and all deviations."""
         return frozenset({"elevation", "delay", "rssi", "stated_sigma"})
 
-    # --- one replication --------------------------------------------------------------------------
+    # --- measurements -----------------------------------------------------------------------------
 
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """Measurements (T, B) of true states (T, n); NaN if the AN does not hear the target."""
-        anchors, points = scenario.true_anchors, truth[:, :3]
-        shape = (len(points), anchors.count)
-        heard = scenario.hears(points)
-        step, b = np.nonzero(np.ones(shape, dtype=bool) if heard is None else heard)
-        position, rotation = (
-            np.broadcast_to(a[0], (*shape, *a.shape[3:]))[step, b][:, None]
-            for a in (anchors.position, anchors.rotation)
+        points, count = truth[None, :, :3], scenario.true_anchors.count
+        links = links_of(scenario, points)
+        found = self._measured([rng], links, points).items()
+        return Measurements(**{n: at_anchors(a, links.numbers, count)[0] for n, a in found})
+
+    def sample_tile(
+        self, rngs: Sequence[np.random.Generator], scenario: Scenario, truth: Array
+    ) -> Measurements:
+        """Measurements (R, T, K) of the ANs that hear the target at true states (R, T, n)."""
+        points = shared(truth[..., :3])
+        links = links_of(scenario, points)
+        every = links.numbers.shape[2] == scenario.true_anchors.count
+        found = self._measured(rngs, links, points)
+        return Measurements(**found, anchor_id=None if every else links.numbers)
+
+    def _measured(
+        self, rngs: Sequence[np.random.Generator], links: Links, points: Array
+    ) -> dict[str, Array]:
+        """The measured arrays (R, T, K) over `links` at points (R|1, T, 3) m."""
+        shape = (len(rngs), *links.numbers.shape[1:])
+        found = {name: np.empty(shape) for name in _MEASURED}
+        given = (
+            self._fading(rngs, points)[..., None], self.power(links.distance),
+            links.azimuth, links.elevation, links.distance / LIGHT,
+            self.aperture(links.azimuth), self.aperture(links.elevation),
+        )  # fmt: skip
+        some = max(_AT_ONCE // math.prod(shape[1:]), 1)
+        for first in range(0, len(rngs), some):
+            of = slice(first, first + some)
+            e = links.normals(rngs[of], first)
+            values = self._perturbed(e, *(a if len(a) == 1 else a[of] for a in given))
+            for array, value in zip(found.values(), values):
+                array[of] = value
+        if (free := links.numbers < 0).any():
+            for array in found.values():
+                array[np.broadcast_to(free, shape)] = np.nan
+        return found
+
+    def _perturbed(self, e: Array, fading: Array, power: Array, *true: Array) -> tuple[Array, ...]:
+        """The measured values (R, T, K) of `_MEASURED`, from normal numbers e (3, R, T, K), shadow
+        fading dB, power dBm, the true angles rad and delay s, and the angles' apertures.
+        """
+        azimuth, elevation, delay, *apertures = true
+        rss = power + fading + self.array_gain_db
+        spread = self.spread(rss)
+        azimuth_sigma, elevation_sigma = (spread / aperture for aperture in apertures)
+        delay_sigma = np.hypot(self.delay_sigma(rss), 1e-9 * self.clock_ns)
+        return (
+            wrap(azimuth + azimuth_sigma * e[0]),
+            elevation + elevation_sigma * e[1],
+            delay + delay_sigma * e[2],
+            rss,
+            azimuth_sigma,
+            elevation_sigma,
+            delay_sigma,
         )
-        local = (a[:, 0] for a in in_frames(points[step], position, rotation))
-        x, y, z = local
-        distance = np.sqrt(x * x + y * y + z * z)
-        azimuth, elevation = to_azel(x, y, z)
-        rss = self.rss(distance, self.shadowing(rng, points)[step])
-        sigma = [self.angle_sigma(rss, azimuth), self.angle_sigma(rss, elevation)]
-        clock = 1e-9 * self.clock_ns
-        sigma.append(np.hypot(self.delay_sigma(rss), clock))
-        e = rng.standard_normal((3, len(step)))
-        values = {
-            "azimuth": wrap(azimuth + sigma[0] * e[0]), "elevation": elevation + sigma[1] * e[1],
-            "delay": distance / LIGHT + sigma[2] * e[2], "rssi": rss,
-            "azimuth_sigma": sigma[0], "elevation_sigma": sigma[1], "delay_sigma": sigma[2],
-        }  # fmt: skip
-        dense = {}
-        for name, value in values.items():
-            dense[name] = np.full(shape, np.nan)
-            dense[name][step, b] = value
-        return Measurements(**dense)
 
     def shadowing(self, rng: np.random.Generator, points: Array) -> Array:
         """Shadow fading (T,) dB at positions (T, 3) m: normal, with correlation exp(-distance /
         shadowing_m) from step to step.
         """
-        e = rng.standard_normal(len(points))
+        found: Array = self._fading([rng], points[None])[0]
+        return found
+
+    def _fading(self, rngs: Sequence[np.random.Generator], points: Array) -> Array:
+        """The shadow fading (R, T) dB of replications at positions (R|1, T, 3) m."""
+        e = np.stack([rng.standard_normal(points.shape[1]) for rng in rngs], axis=1)  # (T, R)
         if self.shadowing_m > 0:
-            apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
+            apart = np.linalg.norm(np.diff(points, axis=1), axis=2).T
             keep = np.exp(-apart / self.shadowing_m)
-            fresh = np.sqrt(1.0 - keep**2)
-            for k in range(1, len(e)):
-                e[k] = keep[k - 1] * e[k - 1] + fresh[k - 1] * e[k]
-        return self.shadowing_db * e
+            e[1:] *= np.sqrt(1.0 - keep**2)
+            kept, before = np.empty(len(rngs)), e[0]
+            for share, now in zip(keep, e[1:]):
+                now += np.multiply(share, before, out=kept)
+                before = now
+        return self.shadowing_db * e.T
 
     def known_anchors(self, rng: np.random.Generator, scenario: Scenario) -> Anchors:
         """The ANs (1, 1, B, ...) as known to the filters: the true ANs with this replication's

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,18 @@ from aoabench.config.compose import compose_cells
 from aoabench.config.overrides import file_setting
 from aoabench.engine import runner
 from aoabench.store import tables
-from aoabench.store.fixes import Fixes, fixes, steps
+from aoabench.store.fixes import Read, fixes, steps
 from aoabench.studies import progress, study
 
 _READERS = {"fixes": fixes, "steps": steps}
+
+
+@dataclass(frozen=True)
+class Ran:
+    """The cells of a run, and the number of replications of each by its id."""
+
+    cells: list[Cell]
+    reps: dict[str, int]
 
 
 @dataclass
@@ -27,19 +34,21 @@ class Runs:
 
     raw: Path
     fresh: bool = False
-    _last: tuple[list[str], list[Cell]] = field(default_factory=lambda: ([], []))
+    _last: tuple[list[str], Ran] = field(default_factory=lambda: ([], Ran([], {})))
 
     def folder(self, s: study.Study) -> Path:
         """The folder of a study, one for all its items, so that they share cells."""
         return self.raw / s.name
 
-    def cells(self, s: study.Study, overrides: list[str], title: str) -> list[Cell]:
-        """The cells of some overrides, run in the study's folder."""
+    def run(self, s: study.Study, overrides: list[str], title: str) -> Ran:
+        """Run the cells of some overrides in the study's folder."""
         words = [*overrides, file_setting("runner.out", self.folder(s))]
         if self._last[0] != words:
             cells = compose_cells(words)
-            runner.run(cells, title, self.fresh)
-            self._last = words, cells
+            reps = {cell.id: cell.reps for cell in cells}
+            report = runner.run(cells, title, self.fresh)
+            reps |= {row["cell"]: row["replications"] for row in report.precision}
+            self._last = words, Ran(cells, reps)
         return self._last[1]
 
 
@@ -62,24 +71,21 @@ def compute(
                 "scale": scale,
             }
     out = runs.folder(s)
-    more = [] if reps is None else [f"reps={reps}"]
-    cells = runs.cells(s, [f"experiment={item.experiment}", *item.scale[scale], *more], title)
+    words = [f"experiment={item.experiment}", *item.scale[scale]]
+    if reps is not None:  # in place of a precision to reach
+        words = [word for word in words if not word.startswith("until.")] + [f"reps={reps}"]
+    ran = runs.run(s, words, title)
     origin = {
         "experiment": item.experiment,
-        "cells": [c.config for c in cells],
-        "reps": max(c.reps for c in cells),
+        "cells": [c.config for c in ran.cells],
+        "reps": max(ran.reps.values()),
     }
     with progress.shown(title):
         if item.reads in _READERS:
             reader = _READERS[item.reads]
-            found = ((c, _fixes_of(c, reader, out)) for c in cells)
+            found = ((c, Read(reader, out, c.id, c.estimators, ran.reps[c.id])) for c in ran.cells)
             return reduce(found), origin
         frame = tables.load(out)
-        wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
+        wanted = {(c.id, name): ran.reps[c.id] for c in ran.cells for name in c.estimators}
         kept = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
         return reduce(frame[frame["replication"] < kept]), origin
-
-
-def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, Fixes]:
-    """The fixes of a cell's replications by estimator."""
-    return {name: reader(out, cell.id, name).first(cell.reps) for name in cell.estimators}

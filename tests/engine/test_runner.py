@@ -136,12 +136,11 @@ def test_a_parameter_given_on_the_command_line_has_its_column_even_at_its_defaul
 def test_layout_variants_share_their_draws():
     """Streams are keyed on the scenario's name, which variants of one track have in common."""
     a, b = compose_cells(["scenario=square_track,square_track_far", "filter=[ekf_vmf]"])
-    from aoabench.engine.tiles import simulate
+    from aoabench.engine.draws import Draws
 
-    truth_a, _, prior_a = simulate(a.scenario, a.noise, 1, 5)
-    truth_b, _, prior_b = simulate(b.scenario, b.noise, 1, 5)
-    assert np.array_equal(truth_a, truth_b)
-    assert np.array_equal(prior_a[0], prior_b[0])
+    one, other = (Draws(c.scenario, c.noise, 1).drawn(5, 1) for c in (a, b))
+    assert np.array_equal(one.truth, other.truth)
+    assert np.array_equal(one.prior[0], other.prior[0])
     assert a.id != b.id
 
 

@@ -9,6 +9,7 @@ from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
 from aoabench.engine import threads, timing
 from aoabench.engine.block import run_block
+from aoabench.engine.draws import Draws
 from aoabench.engine.tiles import tile_of
 from aoabench.engine.timing import time_estimators
 from aoabench.errors import UserError
@@ -108,10 +109,8 @@ def test_replications_that_are_not_wanted_change_no_bit(group, words):
 
 def test_only_the_wanted_replications_are_simulated(monkeypatch):
     """A second one, if one is wanted; all of them for an estimator that says nothing of itself."""
-    from aoabench.engine import tiles
-
-    drawn, simulate = [], tiles.simulate
-    monkeypatch.setattr(tiles, "simulate", lambda *a: (drawn.append(a[-1]), simulate(*a))[1])
+    drawn, simulate = [], Draws.simulate
+    monkeypatch.setattr(Draws, "simulate", lambda *a: (drawn.extend(a[-1]), simulate(*a))[1])
     cell = compose_cells(["noise=vmf", "filter=[ekf_vmf]", "scenario.steps=2"])[0]
     for (start, stop), numbers in (
         ((0, 2), [0, 1]),

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from aoabench.config.compose import compose_cells
 from aoabench.engine.block import run_block
-from aoabench.engine.tiles import Draws, simulate
+from aoabench.engine.draws import Draws
 from aoabench.errors import BadValue, UserError
 from aoabench.estimators.anchors import AnchorMean, BestAnchor, RssiAnchor, SingleAnchor
 from aoabench.estimators.lines import AnchorDiscarding, LineLeastSquares
@@ -361,13 +361,11 @@ def test_outliers_losses_and_strength():
 
 def test_the_same_draws_whatever_the_parameters(rng):
     cell = room("scenario.packets=3")
-    a = simulate(cell.scenario, quiet(azimuth_noise_deg=1.0), 1, 0)[1]
-    b = simulate(
-        cell.scenario,
-        quiet(azimuth_noise_deg=1.0, elevation_bias_deg=5, outlier_deg=3, fading_db=2),
-        1,
-        0,
-    )[1]
+    others = quiet(azimuth_noise_deg=1.0, elevation_bias_deg=5, outlier_deg=3, fading_db=2)
+    a, b = (
+        Draws(cell.scenario, noise, 1).tile(0, 1)[1]
+        for noise in (quiet(azimuth_noise_deg=1.0), others)
+    )
     assert np.array_equal(a.azimuth, b.azimuth)
 
 
