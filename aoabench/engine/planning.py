@@ -62,3 +62,19 @@ def tasks_of(
         chunk = math.ceil(chunk / tile) * tile
         for first in range(start - start % chunk, stop, chunk):
             yield Task(cell, names, origin, max(first, start), min(first + chunk, stop))
+
+
+def spread(tasks: Sequence[Task], workers: int) -> list[Task]:
+    """The tasks, those with several estimators divided until there is one for each worker.
+
+    Each of the parts simulates the draws again, but no worker is idle.
+    """
+    found = list(tasks)
+    while 0 < len(found) < workers:
+        at = max(range(len(found)), key=lambda i: len(found[i].keys))
+        names = list(found[at].keys.items())
+        if len(names) == 1:
+            break
+        parts = (dict(names[::2]), dict(names[1::2]))
+        found[at : at + 1] = [replace(found[at], keys=keys) for keys in parts]
+    return found

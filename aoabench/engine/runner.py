@@ -12,10 +12,10 @@ from typing import Any
 from aoabench.cell import Cell, Until
 from aoabench.engine.faults import KEPT, explained, report, writable
 from aoabench.engine.machines import Machines
-from aoabench.engine.planning import merged, tasks_of
+from aoabench.engine.planning import merged, spread, tasks_of
 from aoabench.engine.tasks import Loss, Task, kind_of
 from aoabench.engine.timing import FEW, Timings
-from aoabench.engine.workers import compute_all
+from aoabench.engine.workers import compute_all, idle
 from aoabench.errors import RunError
 from aoabench.maths import statistics
 from aoabench.store import index, tables
@@ -174,7 +174,7 @@ class _Run:
             if cell.id not in self.stopped:
                 tasks += tasks_of(cell, self.keys[cell.id], self.origins[cell.id], done, goal)
         self.machines.settle()
-        return tasks
+        return spread(tasks, idle(self.options))
 
     def _most(self, cell: Cell) -> int:
         """The largest number of replications that the cell may reach."""

@@ -12,6 +12,7 @@ from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
+from aoabench.cell import RunnerOptions
 from aoabench.engine.dask import cluster, compute_remotely, wait_until_seen
 from aoabench.engine.tasks import Loss, Task, numbered
 from aoabench.engine.threads import one_thread
@@ -19,6 +20,16 @@ from aoabench.kernels.loading import together
 from aoabench.store.machine import machine
 
 _WAITING_TASKS = 256  # queued on a cluster, for workers that connect later
+
+
+_running: set[str] = set()  # backends whose workers this process has started
+
+
+def idle(options: RunnerOptions) -> int:
+    """Number of workers that a run with these options finds started; they wait for tasks for some
+    minutes after a run.
+    """
+    return cores(options.n_jobs) if options.backend in _running else 0
 
 
 def cores(n_jobs: int) -> int:
@@ -64,6 +75,7 @@ def _on_this_machine(tasks: Sequence[Task], wanted: Iterable[Numbered], out: Pat
     from joblib import Parallel, delayed
 
     options = tasks[0].cell.runner
+    _running.add(options.backend)
     own: dict[str, Any] = {}
     if options.backend == "loky":
         own = {"initializer": _start_worker, "initargs": (list(sys.path), os.getpid())}

@@ -46,8 +46,8 @@ def kept(stated: str, module: str) -> Kept:
 
 
 def source_digest(module: str) -> str:
-    """Hash of outcomes, reasons, a module of aoabench.kernels and all files of this folder that it
-    imports, directly or not; it identifies machine code.
+    """Hash of outcomes, reasons, a module of aoabench.kernels and all files of this folder and of
+    aoabench.maths that it imports, directly or not; it identifies machine code.
     """
     numbers = repr([(o.name, o.value) for o in (*Outcome, *Reason)])
     read = hashlib.blake2b(numbers.encode(), digest_size=10)
@@ -66,14 +66,16 @@ def source_digest(module: str) -> str:
 
 @cache
 def _imported(file: Path, _changed: int) -> list[Path]:
-    """The files of this folder whose names stand in a file's imports."""
+    """The files of kernels and maths whose names stand in a file's imports."""
     names = set[str]()
     for node in ast.walk(ast.parse(file.read_bytes())):
         if isinstance(node, ast.Import | ast.ImportFrom):
             inside = getattr(node, "module", None) or ""
             for dotted in (inside, *(alias.name for alias in node.names)):
                 names |= set(dotted.split("."))
-    return [one for name in names if (one := file.with_name(f"{name}.py")).exists()]
+    package = file.parents[1]
+    places = [package / room / f"{name}.py" for room in ("kernels", "maths") for name in names]
+    return [place for place in places if place.exists()]
 
 
 @contextmanager

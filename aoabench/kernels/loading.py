@@ -16,8 +16,15 @@ from aoabench.params import param
 from aoabench.types import Anchors
 
 # those with kernels that estimators call, the ones that more of them call first
-_MODULES = tuple(
-    f"kernels.{name}" for name in ("kalman", "particle", "snapshot", "access_nodes", "discrepancy")
+_MODULES = (
+    "kalman",
+    "particle",
+    "snapshot",
+    "access_nodes",
+    "centroid",
+    "vmf",
+    "lines",
+    "discrepancy",
 )
 Say = Callable[[str], None]
 _collected: ContextVar[list[Any] | None] = ContextVar("collected", default=None)
@@ -102,7 +109,7 @@ def ahead() -> Iterator[None]:
     """Let other processes compile all kernels that the disk cache lacks while this context lasts;
     whoever needs one of them meanwhile compiles it or waits until it is compiled.
     """
-    modules = [module for name in _MODULES if (module := load(name))]
+    modules = [module for name in _MODULES if (module := load(f"kernels.{name}"))]
     kernels = [kernel for module in modules for kernel in kernels_of(module)]
     missing = [k for k in dict.fromkeys(kernels) if k.kept.folder is not None and not k.noted]
     with helping([(k.module, k.name) for k in missing]):
