@@ -107,7 +107,7 @@ def _same_tiles(
     rows = {name: {kind: list[Rows]() for kind in makers} for name in estimators}
     errors = {name: dict[int, str]() for name in estimators}
     start = wanted.start - wanted.start % size
-    truth = draws.tile(start, size)[0][0]
+    truth = draws.drawn(start, size).truth[0]
     place = metrics.places(truth[:, :3]) if "fixes" in makers else None
     span = size * max(_SPAN // (size * len(truth)), 1)
     for first in range(start, wanted.stop, span):
