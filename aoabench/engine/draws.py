@@ -159,11 +159,14 @@ class Draws:
         )
 
     def _truth(self, numbers: range) -> Array:
-        """True states (R, T, n); one for all replications if the scenario `shares_positions`."""
-        if self.scenario.shares_positions:
-            (rng,) = self._rngs(range(1), TRUTH)
-            return np.stack([self.scenario.truth(rng)] * len(numbers))
-        return np.stack([self.scenario.truth(rng) for rng in self._rngs(numbers, TRUTH)])
+        """True states (R, T, n), a view of one array if they are equal in all replications, as they
+        are in a scenario that `shares_positions`.
+        """
+        drawn = range(1) if self.scenario.shares_positions else numbers
+        each = [self.scenario.truth(rng) for rng in self._rngs(drawn, TRUTH)]
+        if all(np.array_equal(states, each[0]) for states in each[1:]):
+            return np.broadcast_to(each[0], (len(numbers), *each[0].shape))
+        return np.stack(each)
 
     def _measured(self, numbers: range, truth: Array) -> Measurements:
         """The noise's measurements (R, T, K), or the scenario's recording (R, T, B)."""

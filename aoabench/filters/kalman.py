@@ -97,7 +97,7 @@ class _Kalman(InnovationBound, Compiled, Filter):
         deviations = h.deviations(batch)
         if self.finest > 0 and finest(*deviations, h.variances()) < self.finest:
             return None
-        return kernels, kind, (batch.azimuth, batch.elevation, *deviations)
+        return kernels, kind, (batch.azimuth, batch.elevation, *constant(*deviations))
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by component."""
@@ -268,6 +268,14 @@ class UKF(_Kalman):
         f = np.sqrt(w)[:, None] * (deviation - mean[:, None])
         v = h.residual(y, images[:, 0] + mean)
         return B, f, v, np.zeros_like(v)  # the noise is in f
+
+
+def constant(*arrays: Array) -> tuple[Array, ...]:
+    """Arrays (R|1, T|1, B), or their first step (1, 1, B) if it is that of all replications and
+    steps in all of them.
+    """
+    first = tuple(each[:1, :1] for each in arrays)
+    return first if all((a == b).all() for a, b in zip(arrays, first)) else arrays
 
 
 def finest(azimuth: Array, elevation: Array, table: Array) -> float:

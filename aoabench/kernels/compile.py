@@ -40,7 +40,7 @@ class Kernel:
     def __init__(self, function: Callable[..., Any], signature: Any, options: Any) -> None:
         self.module, self.name = function.__module__, function.__name__
         self.kept = cache.kept(config.CACHE_DIR, self.module)
-        self._signature, self._compiled = signature, None
+        self.py_func, self._signature, self._compiled = function, signature, None
         with _cache_folder(self.kept.folder):
             cached = self.kept.folder is not None
             self._dispatcher = njit(cache=cached, nogil=True, **options)(function)

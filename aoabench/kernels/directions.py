@@ -35,17 +35,22 @@ def fetch(source, start, k, out):
     last, step = len(source) - 1, min(k, source.shape[1] - 1)
     a, b = out.reshape(-1, TILE), source.reshape(source.shape[0], source.shape[1], -1)
     for r in range(TILE):
+        row = b[min(start + r, last), step]
         for i in range(len(a)):
-            a[i, r] = b[min(start + r, last), step, i]
+            a[i, r] = row[i]
 
 
 @inlined_ordered
-def fetch_angle(source, start, k, i, out):
-    """Copy step k of source (R|1, T|1, B) into out[:, i] (B, TILE), as `fetch` does it."""
-    last, step = len(source) - 1, min(k, source.shape[1] - 1)
+def fetch_angles(source, start, k, i, out):
+    """Copy steps k ... of source (R, T, B) into out[:, :, i] (AHEAD, B, TILE), as `fetch` does it:
+    several steps at a time, because they share lines of the processor's cache.
+    """
+    last, steps = len(source) - 1, min(len(out), source.shape[1] - k)
     for r in range(TILE):
-        for j in range(len(out)):
-            out[j, i, r] = source[min(start + r, last), step, j]
+        for t in range(steps):
+            row = source[min(start + r, last), k + t]
+            for j in range(out.shape[1]):
+                out[t, j, i, r] = row[j]
 
 
 @inlined_ordered

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 _MOST = 3  # processes; more would each import numba for a kernel or two
+_running: list[subprocess.Popen[str]] = []
 _SCRIPT = """
 import importlib, json, os, sys, threading
 
@@ -27,13 +28,17 @@ for module, name in kernels:
 @contextmanager
 def helping(kernels: Sequence[tuple[str, str]]) -> Iterator[None]:
     """Let other processes compile kernels (module, name) in this context, each beginning
-    elsewhere in the list; end these processes with the context.
+    elsewhere in the list; end these processes with the context. No processes are started while
+    those of an outer context run.
     """
-    count = min(len(kernels), _MOST, _processors() - 1) if kernels else 0
+    global _running
+    count = min(len(kernels), _MOST, _processors() - 1) if kernels and not _running else 0
     processes = [_started([*kernels[i:], *kernels[:i]]) for i in range(count)]
+    before, _running = _running, _running or processes
     try:
         yield
     finally:
+        _running = before
         for process in processes:
             process.kill()
         for process in processes:

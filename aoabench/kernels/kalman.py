@@ -24,7 +24,7 @@ from aoabench.kernels.directions import (
     deviation,
     direction,
     fetch,
-    fetch_angle,
+    fetch_angles,
     hide,
     inform,
     innovation,
@@ -36,6 +36,7 @@ from aoabench.kernels.directions import (
 from aoabench.kernels.small import AZEL_ADAPTIVE, UNIT_VECTOR
 from aoabench.kernels.square_root import cholesky, conclude, predict, reach, store, update
 
+AHEAD = 4  # steps whose angles are fetched at a time
 AVERAGED, CENTRE = range(2)  # the UKF's variances
 
 # Rows of w: A and g, the position's factor; an update's T and z; the sum of squared innovations
@@ -46,22 +47,37 @@ A, G, L, T, Z, N, ROWS = 0, 6, 9, 15, 24, 27, 28
 
 
 @inlined_ordered
-def add(out, a, b):
-    """out += a b."""
-    for r in range(TILE):
-        out[r] += a[r] * b[r]
+def accumulate(z, W, v, wz, M, b):
+    """M += z W z^T, its lower half, and b += z W v for the deviations z (d, 6, TILE) of d
+    components, their precisions W and innovations v (d, TILE); wz (d, TILE) is workspace.
+    """
+    d = len(z)
+    for i in range(6):
+        for l in range(d):
+            for r in range(TILE):
+                wz[l, r] = W[l, r] * z[l, i, r]
+                b[i, r] += wz[l, r] * v[l, r]
+        for q in range(i + 1):
+            if d == 2:
+                for r in range(TILE):
+                    M[i, q, r] += wz[0, r] * z[0, q, r] + wz[1, r] * z[1, q, r]
+            else:
+                for r in range(TILE):
+                    M[i, q, r] += (
+                        wz[0, r] * z[0, q, r] + wz[1, r] * z[1, q, r] + wz[2, r] * z[2, q, r]
+                    )
 
 
 @inlined_ordered
 def eliminate(M, b):
-    """Eliminate the first four of seven unknowns from M x = b, M given by its lower half.
+    """Eliminate the first three of six unknowns from M x = b, M given by its lower half.
 
-    M[4:, 4:] and b[4:] then hold the system of the last three; M[j, j] (j < 4) its reciprocals.
+    M[3:, 3:] and b[3:] then hold the system of the last three; M[j, j] (j < 3) its reciprocals.
     """
-    for j in range(4):
+    for j in range(3):
         for r in range(TILE):
             M[j, j, r] = 1.0 / M[j, j, r]
-        for i in range(j + 1, 7):
+        for i in range(j + 1, 6):
             for r in range(TILE):
                 b[i, r] -= M[i, j, r] * M[j, j, r] * b[j, r]
             for l in range(j + 1, i + 1):
@@ -75,15 +91,15 @@ def eliminate(M, b):
 @inlined_ordered
 def remaining(M, b, w):
     """Rows A, g and L of w for the three unknowns left by `eliminate`, and N without the share of
-    the other four.
+    the other three.
     """
-    for i in range(4):
+    for i in range(3):
         for r in range(TILE):
             w[N, r] -= M[i, i, r] * b[i, r] * b[i, r]
     for i in range(3):
-        w[G + i] = b[4 + i]
+        w[G + i] = b[3 + i]
         for j in range(i + 1):
-            w[A + i * (i + 1) // 2 + j] = M[4 + i, 4 + j]
+            w[A + i * (i + 1) // 2 + j] = M[3 + i, 3 + j]
             w[L + i * (i + 1) // 2 + j] = 1.0 if i == j else 0.0
 
 
@@ -119,17 +135,19 @@ def begin(start, x0, root0, x, root):
 
 @inlined_ordered
 def arrive(kind, measured, frames, start, k, seen, precision, s, rot):
-    """Fetch the angles of step k into seen (B, 2, TILE), and precisions (B, 2, TILE) and anchors if
-    they change with the step.
+    """Fetch the angles of step k and of the next ones into seen (AHEAD, B, 2, TILE), and precisions
+    (AHEAD|1, B, 2, TILE) and anchors if they change with the step.
     """
     azimuth, elevation, azimuth_sigma, elevation_sigma = measured
-    fetch_angle(azimuth, start, k, 0, seen)
-    fetch_angle(elevation, start, k, 1, seen)
-    if k < azimuth_sigma.shape[1]:
-        fetch_angle(azimuth_sigma, start, k, 0, precision)
-        fetch_angle(elevation_sigma, start, k, 1, precision)
-        for j in range(len(s)):
-            precise(kind, precision[j])
+    if k % AHEAD == 0:
+        fetch_angles(azimuth, start, k, 0, seen)
+        fetch_angles(elevation, start, k, 1, seen)
+        if k < azimuth_sigma.shape[1]:
+            fetch_angles(azimuth_sigma, start, k, 0, precision)
+            fetch_angles(elevation_sigma, start, k, 1, precision)
+            for t in range(len(precision)):
+                for j in range(len(s)):
+                    precise(kind, precision[t, j])
     if k < frames[0].shape[1]:
         fetch(frames[0], start, k, s)
     if k < frames[1].shape[1]:
@@ -178,7 +196,9 @@ def ekf(
     x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
     P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
     s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
-    seen, precision = np.empty((B, 2, TILE)), np.empty((B, 2, TILE))
+    seen = np.empty((AHEAD, B, 2, TILE))
+    known = min(AHEAD, azimuth_sigma.shape[1])
+    precision = np.zeros((known, B, 2, TILE))
     local, c, y = np.empty((3, TILE)), np.empty((3, TILE)), np.empty((d, TILE))
     v, W, var = np.empty((d, TILE)), np.empty((d, TILE)), np.empty(TILE)
     least, count = np.empty(TILE), np.empty(TILE, np.int64)
@@ -187,6 +207,7 @@ def ekf(
         begin(start, x0, root0, x, root)
         for k in range(steps):
             arrive(kind, observed, (position, rotation), start, k, seen, precision, s, rot)
+            now, weight = seen[k % AHEAD], precision[k % known]
             predict(TILE, x, root, F, Q, P, FR, Fx)
             cholesky(TILE, P, root)
             reach(TILE, P, least)
@@ -194,7 +215,7 @@ def ekf(
             w[N] = 0.0
             count[:] = 0
             for j in range(B):
-                components(kind, seen[j], precision[j], y)
+                components(kind, now[j], weight[j], y)
                 if not tally(d, y, count):
                     continue
                 seen_from(x, s[j], rot[j], local)
@@ -205,7 +226,7 @@ def ekf(
                         for r in range(TILE):
                             var[r] = 1.0 / var[r]
                     else:
-                        var[:] = precision[j, min(l, 1)]
+                        var[:] = weight[j, min(l, 1)]
                     innovation(kind, l, y[l], c[l], var, v[l], W[l])
                 hide(local, least, W)
                 for l in range(d):
@@ -227,51 +248,54 @@ def ukf(
     `ekf`.
 
     Seven points are computed: the others have the centre's position, and their weights are added to
-    the centre's. Each pair of points gives a half sum and a half difference. Only the differences
-    deviate in the state; the other four unknowns are eliminated, which leaves the update of the
+    the centre's. With the sums S_i and differences D_i of the deviations of three pairs, the
+    predicted measurement's covariance is the sum of D_i D_i^T and E_i E_i^T, times each / 2, where
+    E_i = S_i + shared (S_1 + S_2 + S_3) includes the deviation of their mean. Only the differences
+    deviate in the state; the other three unknowns are eliminated, which leaves the update of the
     state.
     """
     (R, steps, B), n, d = azimuth.shape, x0.shape[1], 3 if kind == UNIT_VECTOR else 2
     x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
     P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
-    local, image, z = np.empty((7, 3, TILE)), np.empty((7, 3, TILE)), np.empty((7, TILE))
-    M, b = np.empty((7, 7, TILE)), np.empty((7, TILE))
+    local, image, z = np.empty((7, 3, TILE)), np.empty((7, 3, TILE)), np.empty((d, 6, TILE))
+    M, b = np.empty((6, 6, TILE)), np.empty((6, TILE))
     s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
-    seen, precision = np.empty((B, 2, TILE)), np.empty((B, 2, TILE))
-    y, var, v, W = np.empty((d, TILE)), np.empty(TILE), np.empty(TILE), np.empty(TILE)
-    one, mean, expected = np.empty(TILE), np.empty(TILE), np.empty(TILE)
+    seen = np.empty((AHEAD, B, 2, TILE))
+    known = min(AHEAD, azimuth_sigma.shape[1])
+    precision = np.zeros((known, B, 2, TILE))
+    y, v, W = np.empty((d, TILE)), np.empty((d, TILE)), np.empty((d, TILE))
+    wz, var = np.empty((d, TILE)), np.empty(TILE)
+    one, expected = np.empty(TILE), np.empty(TILE)
     count = np.empty(TILE, np.int64)
     observed = azimuth, elevation, azimuth_sigma, elevation_sigma
     each, spread = 0.5 / (n + lambda_), math.sqrt(n + lambda_)
     centre = (lambda_ + n - 3.0) / (n + lambda_)
-    half, still = math.sqrt(0.5 * each), math.sqrt(centre)
+    half, shared = math.sqrt(0.5 * each), (math.sqrt(centre) - 1.0) / 3.0
     for start in range(0, R, TILE):
         begin(start, x0, root0, x, root)
         for k in range(steps):
             arrive(kind, observed, (position, rotation), start, k, seen, precision, s, rot)
+            now, weight = seen[k % AHEAD], precision[k % known]
             predict(TILE, x, root, F, Q, P, FR, Fx)
             cholesky(TILE, P, root)
             b[:] = 0.0
             M[:] = 0.0
             w[N] = 0.0
             count[:] = 0
-            for i in range(4):
+            for i in range(3):
                 M[i, i] = 1.0
             for j in range(B):
-                components(kind, seen[j], precision[j], y)
+                components(kind, now[j], weight[j], y)
                 if not tally(d, y, count):
                     continue
                 points(x, root, s[j], rot[j], spread, local)
                 for i in range(7):
                     direction(kind, local[i], image[i])
                 for l in range(d):
-                    mean[:] = 0.0
-                    for i in range(1, 7):
-                        deviation(kind, l, image[i, l], image[0, l], z[i])
-                        for r in range(TILE):
-                            mean[r] += each * z[i, r]
+                    for i in range(6):
+                        deviation(kind, l, image[1 + i, l], image[0, l], z[l, i])
                     if kind != AZEL_ADAPTIVE:
-                        var[:] = precision[j, min(l, 1)]
+                        var[:] = weight[j, min(l, 1)]
                     else:
                         at_elevation(image[0, 1], table, l, var)
                         if form == AVERAGED:
@@ -284,20 +308,17 @@ def ukf(
                         for r in range(TILE):
                             var[r] = 1.0 / var[r]
                     for r in range(TILE):
-                        expected[r] = image[0, l, r] + mean[r]
-                        z[0, r] = -still * mean[r]
-                    for i in range(1, 4):
-                        for r in range(TILE):
-                            p, q = z[i, r], z[3 + i, r]
-                            z[i, r], z[3 + i, r] = half * (p + q - 2.0 * mean[r]), half * (p - q)
-                    innovation(kind, l, y[l], expected, var, v, W)
-                    weigh(v, W, w[N])
-                    for i in range(7):
-                        for r in range(TILE):
-                            one[r] = z[i, r] * W[r]
-                        add(b[i], one, v)
-                        for q in range(i + 1):
-                            add(M[i, q], one, z[q])
+                        a, e, f = z[l, 0, r], z[l, 1, r], z[l, 2, r]
+                        p, q, t = z[l, 3, r], z[l, 4, r], z[l, 5, r]
+                        total = a + e + f + p + q + t
+                        expected[r] = image[0, l, r] + each * total
+                        total *= shared
+                        z[l, 0, r], z[l, 3, r] = half * (a + p + total), half * (a - p)
+                        z[l, 1, r], z[l, 4, r] = half * (e + q + total), half * (e - q)
+                        z[l, 2, r], z[l, 5, r] = half * (f + t + total), half * (f - t)
+                    innovation(kind, l, y[l], expected, var, v[l], W[l])
+                    weigh(v[l], W[l], w[N])
+                accumulate(z, W, v, wz, M, b)
             eliminate(M, b)
             remaining(M, b, w)
             update(TILE, w, A, L, T, Z, N)

@@ -15,6 +15,10 @@ from aoabench.kernels.helpers import helping
 from aoabench.params import param
 from aoabench.types import Anchors
 
+# those with kernels that estimators call, the ones that more of them call first
+_MODULES = tuple(
+    f"kernels.{name}" for name in ("kalman", "particle", "snapshot", "access_nodes", "discrepancy")
+)
 Say = Callable[[str], None]
 _collected: ContextVar[list[Any] | None] = ContextVar("collected", default=None)
 
@@ -91,6 +95,18 @@ def together(say: Say) -> Iterator[None]:
     finally:
         _collected.reset(token)
     _compile(list(dict.fromkeys(kernels)), say)
+
+
+@contextmanager
+def ahead() -> Iterator[None]:
+    """Let other processes compile all kernels that the disk cache lacks while this context lasts;
+    whoever needs one of them meanwhile compiles it or waits until it is compiled.
+    """
+    modules = [module for name in _MODULES if (module := load(name))]
+    kernels = [kernel for module in modules for kernel in kernels_of(module)]
+    missing = [k for k in dict.fromkeys(kernels) if k.kept.folder is not None and not k.noted]
+    with helping([(k.module, k.name) for k in missing]):
+        yield
 
 
 def kernels_of(module: ModuleType, entries: Sequence[str] = ()) -> list[Any]:

@@ -85,4 +85,5 @@ def _links(scenario: Scenario, points: Array) -> Links:
 
 def shared(points: Array) -> Array:
     """The points (1, T, 3) if they are the same in all replications, else the points (R, T, 3)."""
-    return points[:1] if (points[1:] == points[:1]).all() else points
+    same = points.strides[0] == 0 or all(np.array_equal(one, points[0]) for one in points[1:])
+    return points[:1] if same else points

@@ -67,24 +67,45 @@ def test_an_estimator_asks_for_the_kernels_that_it_calls_alone(kind, name, monke
     assert [kernel.name for kernel in asked] == [name]
 
 
-def test_kernels_are_collected_and_helpers_take_those_that_were_never_compiled(
-    said_by, monkeypatch
-):
-    """Helpers begin at the other end, and take neither what is cached nor the first, which this
-    process compiles anyway.
-    """
-    seen = []
+@pytest.fixture
+def helped(monkeypatch):
+    """The names of the kernels that helpers were given, by call."""
+    calls = []
 
     @contextmanager
     def helping(kernels):
-        seen.append([name for _, name in kernels])
+        calls.append([name for _, name in kernels])
         yield
 
     monkeypatch.setattr(loading, "helping", helping)
-    lines = []
+    return calls
+
+
+def test_ahead_takes_all_kernels_that_the_cache_lacks_once(helped, monkeypatch):
+    one, two = Fake("one", noted=False), Fake("two", noted=False)
+    monkeypatch.setattr(loading, "load", lambda name: None if "kalman" in name else loading)
+    monkeypatch.setattr(loading, "kernels_of", lambda _: [one, Fake("three"), two])
+    with loading.ahead():
+        assert helped == [["one", "two"]]
+
+
+def test_every_module_that_estimators_name_is_compiled_ahead():
+    from aoabench.estimators import discrepancy, least_squares
+    from aoabench.filters import access_nodes, kalman, particle
+
+    named = (kalman, particle, least_squares, access_nodes, discrepancy)
+    assert set(loading._MODULES) == {module.KERNELS for module in named}
+
+
+def test_kernels_are_collected_and_helpers_take_those_that_were_never_compiled(said_by, helped):
+    """Helpers begin at the other end, and take neither what is cached nor the first, which this
+    process compiles anyway.
+    """
+    seen, lines = [], []
     with loading.together(lines.append):
         for name, noted in (("a", False), ("b", False), ("c", True), ("d", False), ("a", False)):
             said_by(Fake(name, noted, lambda name=name: seen.append(name)))
-        assert seen == []
-    assert seen == [["a", "d", "b"], *"abcda"]
+        assert seen == helped == []
+    assert helped == [["a", "d", "b"]]
+    assert seen == [*"abcda"]
     assert len(lines) == 1

@@ -67,6 +67,21 @@ def test_quantile_error_does_not_cancel():
     )
 
 
+@pytest.mark.parametrize("shape", [0.5, 3.0, 50.0])
+def test_a_mean_of_sums_of_powers_is_that_of_the_values(shape, rng):
+    """Its skewness is that of SciPy divided by the root of N."""
+    x = rng.gamma(shape, 2.0, 5_000)
+    found, mean = (
+        statistics.mean_of_sums(len(x), x.sum(), (x**2).sum(), (x**3).sum()),
+        statistics.mean(x),
+    )
+    assert (found.value, found.se) == pytest.approx((mean.value, mean.se), rel=1e-12)
+    skew = stats.skew(x, bias=False) / math.sqrt(len(x))
+    assert (found.skew, mean.skew) == pytest.approx((skew, skew), rel=1e-8)
+    assert found.units == len(x)
+    assert statistics.mean_of_sums(4, 8.0, 16.0, 32.0) == Estimate(2.0, 0.0, 0.0, 4)
+
+
 def test_pooled_rmse_weighs_fixes():
     errors = [np.array([1.0, 2.0, 2.0]), np.array([4.0])]
     rmse = [np.sqrt(np.mean(e**2)) for e in errors]

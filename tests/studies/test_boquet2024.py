@@ -14,8 +14,9 @@ from aoabench import bounds
 from aoabench.config.compose import compose_cells
 from aoabench.engine.tiles import Draws
 from aoabench.estimators.discrepancy import Discrepancy
+from aoabench.estimators.plane import on_plane
 from aoabench.maths import statistics
-from aoabench.maths.geometry import to_azel
+from aoabench.maths.geometry import to_azel, to_unit
 from aoabench.store.fixes import Fixes
 from aoabench.studies import study
 from aoabench.types import Anchors, Batch, Estimates, Outcome
@@ -23,7 +24,7 @@ from tests.helpers import Place
 
 STUDY = study.load("boquet2024")
 numbers, figures = STUDY.numbers, STUDY.figures
-common = numbers.common
+common, floor, geometry = numbers.common, numbers.floor, numbers.geometry
 measures = inspect.getmodule(numbers.fig6).measures
 NAN = np.nan
 
@@ -130,6 +131,46 @@ def test_percentile_of_the_far_anchor_by_quadrature():
     assert p == pytest.approx(
         0.95, abs=4 * max(q["q95_se"] * density * 4, np.sqrt(0.05 * 0.95 / 10_000))
     )
+
+
+@pytest.mark.parametrize("clip", [True, False])
+def test_positions_on_the_floor_are_those_of_the_single_anchors_rays(clip, rng):
+    """Also of rays that pass the nadir, and of those turned away from the horizon."""
+    anchors, node = floor.standard_room().position[0, 0], np.array([0.5, 9.5, 0.0])
+    e = rng.normal(0, 0.7, (2, 4000, 3))
+    found = floor.single_positions(node, anchors, floor.Turns.of(e), clip)
+    azimuth, elevation = to_azel(*np.moveaxis(node - anchors, -1, 0))
+    u = to_unit(azimuth + e[0], elevation + e[1])
+    xy = on_plane(u[None], floor.upright(anchors), 0.0, np.deg2rad(0.1))[0]
+    assert np.allclose(found.T, np.clip(xy, 0, 10) if clip else xy, rtol=1e-9, atol=1e-9)
+    assert (u[..., 2] > 0).mean() > 0.1
+    assert (np.abs(elevation + e[1]) > np.pi / 2).mean() > 0.01
+
+
+def test_one_anchor_against_two_is_the_plain_mean_of_squares(monkeypatch):
+    """The samples are taken in parts, of which the last one is shorter."""
+    whole = numbers.fig3b("quick")
+    monkeypatch.setattr(geometry, "PART", 300)
+    parts = numbers.fig3b("quick")
+    assert np.allclose(whole, parts, rtol=1e-9, atol=0)
+    row = whole[(whole["x_m"] == 2.5) & (whole["y_m"] == 6.5)].iloc[0]
+    turns = geometry.Turns.of(geometry.normal_errors(2_000, 3))
+    anchors = geometry.standard_room().position[0, 0]
+    xy = geometry.single_positions(np.array([2.5, 6.5, 0.0]), anchors, turns, clip=True).T
+    for name, p in (("single", xy[:, 2]), ("pair", xy[:, :2].mean(axis=1))):
+        rmse = statistics.pooled_rmse(np.hypot(*(p - [2.5, 6.5]).T))
+        stored = row[[f"{name}_m", f"{name}_se", f"{name}_skew"]].to_numpy(dtype=float)
+        assert stored == pytest.approx([rmse.value, rmse.se, rmse.skew], rel=1e-9)
+
+
+def test_shares_of_the_points_within_a_distance_are_plain_counts():
+    e, room = geometry.normal_errors(20, 2), geometry.floor_of(2.5)
+    pair = np.array([[3.5, 5.0, 3.0], [6.5, 5.0, 3.0]])
+    turns, wanted = geometry.Turns.of(e), np.zeros((20, len(common.ERRORS)))
+    for node in room:
+        xy = geometry.single_positions(node, pair, turns, clip=True).mean(axis=1)
+        wanted += np.hypot(*(xy.T - node[:2]).T)[:, None] <= common.ERRORS
+    assert np.array_equal(geometry._shares(room, 3.0, turns), wanted / 16)
 
 
 @pytest.fixture(scope="module")

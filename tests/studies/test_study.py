@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aoabench.studies import reproduce, study
+from aoabench.studies import computing, study
 
 
 def made_up(folder):
@@ -37,7 +37,7 @@ def test_provenance_names_the_file_that_computes(tmp_path):
     (tmp_path / "numbers" / "__init__.py").write_text("from .inner import fig1\n")
     (tmp_path / "numbers" / "inner.py").write_text("def fig1(scale):\n    return scale\n")
     item = study.Item("fig1", "", "")
-    frame, origin = reproduce.compute(made_up(tmp_path), item, "quick", tmp_path)
+    frame, origin = computing.compute(made_up(tmp_path), item, "quick", computing.Runs(tmp_path))
     assert frame == "quick"
     assert origin["function"] == "experiments/made_up/numbers/inner.py:fig1"
 
@@ -61,7 +61,7 @@ def test_an_item_without_a_count_has_the_replications_that_its_precision_takes(t
         scale = {"quick": [*few, *words]}
         item = study.Item("kept", "t", "c", experiment="nurminen2018_adaptivity", scale=scale)
         made = made_up(tmp_path)
-        return reproduce.compute(made, item, "quick", tmp_path / "raw")
+        return computing.compute(made, item, "quick", computing.Runs(tmp_path / "raw"))
 
     frame, origin = computed("scenario=square_track", *goal)
     each = frame.groupby("estimator")["rmse_3d_m"].agg(["mean", "std", "size"])

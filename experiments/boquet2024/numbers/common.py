@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import yaml
+from joblib import cpu_count
 
 from aoabench.cell import Cell
 from aoabench.maths import statistics
@@ -15,6 +18,7 @@ from aoabench.maths.estimate import Estimate
 from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 
+X, Y = TypeVar("X"), TypeVar("Y")
 Runs = Iterable[tuple[Cell, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
 METHODS = (
     "single_anchor_1",
@@ -30,6 +34,14 @@ METHODS = (
 # methods whose score measures the disagreement of the anchors
 SCORED = ("anchor_mean", "ls_lines", "ls_anchor_discarding", "vmf_ml")
 ERRORS = np.round(np.arange(0.0, 6.01, 0.05), 2)  # m, grid of the distribution functions
+
+
+def in_threads(f: Callable[[X], Y], each: Iterable[X]) -> list[Y]:
+    """The values of f in the order of its arguments, computed by a thread per processor; each of
+    them depends on its argument alone.
+    """
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        return list(pool.map(f, each))
 
 
 def printed_grids() -> dict[str, np.ndarray]:
