@@ -110,7 +110,7 @@ def access_nodes(repeats: int) -> Iterator[Row]:
     slow = Laps(cell, "ekf_toa_aoa", "numpy", tiles=1)
     found = in_turn({**laps, "numpy": slow}, min(repeats, 5))
     how = (
-        "median, in turn; tiles of 8 trials, 3065 steps, 9 states, 8 of 107 access nodes; one core"
+        "median, in turn; tiles of 32 trials, 3065 steps, 9 states, 8 of 107 access nodes; one core"
     )
     for name, lap in laps.items():
         target = "at most 4" if name == "ekf_toa_aoa" else ""

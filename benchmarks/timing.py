@@ -72,7 +72,8 @@ class Laps:
         self.cell, self.next = cell, 0
         size = tile_of(self.estimator, cell.scenario)
         draws = Draws(cell.scenario, cell.noise, cell.seed)
-        self.batches = [draws.tile(i * size, size)[1] for i in range(tiles)]
+        heard = self.estimator.heard_only
+        self.batches = [draws.tile(i * size, size, heard)[1] for i in range(tiles)]
         self.streams = [
             Streams(cell.seed, cell.scenario.name, tuple(range(i * size, (i + 1) * size)))
             for i in range(tiles)

@@ -37,9 +37,9 @@ LEAST_VARIANCE = 1e-32  # as in models.components
 # A2 the same sums of the times alone, L factor of the position's covariance, T and Z of an update,
 # N the sum of squared innovations, D the square of the distance below which an AN is skipped,
 # M AN's rotation, C variances of its position, C0 those of the error that all ANs share, B the
-# direction of its broadside
+# direction of its broadside, U the number of measured components
 X, S, Y, V, A, A2, L, T, Z, N, D = 0, 3, 6, 9, 12, 21, 30, 36, 45, 48, 49
-M, C, C0, B, ROWS = 50, 59, 62, 65, 66
+M, C, C0, B, U, ROWS = 50, 59, 62, 65, 66, 67
 SURE = 1.0 - ROUNDED
 
 
@@ -182,58 +182,71 @@ def clear(w, first, stop):
 
 
 @inlined_ordered
+def spread(w, row, values, start, last, k, m):
+    """Copy the values (R|1, T|1, K, d) of the AN at place m of step k into d rows of w."""
+    at = min(k, values.shape[1] - 1)
+    for j in range(values.shape[3]):
+        if len(values) == 1:
+            value = values[0, at, m, j]
+            for r in range(TILE):
+                w[row + j, r] = value
+        else:
+            for r in range(TILE):
+                w[row + j, r] = values[min(start + r, last), at, m, j]
+
+
+@inlined_ordered
 def place(w, start, last, k, m, position, rotation, unwrapped):
     """Copy position, rotation and broadside's direction of the AN at place m of step k into w."""
-    at, turn = min(k, position.shape[1] - 1), min(k, rotation.shape[1] - 1)
-    for r in range(TILE):
-        i = min(start + r, last)
-        p, q = min(i, len(position) - 1), min(i, len(rotation) - 1)
-        for j in range(3):
-            w[S + j, r] = position[p, at, m, j]
-            for l in range(3):
-                w[M + 3 * j + l, r] = rotation[q, turn, m, j, l]
-    for r in range(TILE):
-        ahead, left = w[M, r], w[M + 1, r]
-        w[B, r] = angle(left, ahead, math.sqrt(ahead * ahead + left * left)) if unwrapped else 0.0
+    spread(w, S, position, start, last, k, m)
+    spread(w, M, rotation, start, last, k, m)
+    if unwrapped:
+        for r in range(TILE):
+            ahead, left = w[M, r], w[M + 1, r]
+            w[B, r] = angle(left, ahead, math.sqrt(ahead * ahead + left * left))
 
 
 @inlined_ordered
 def variances(w, row, start, last, k, m, sigma):
-    """Copy the variances of the position of the AN at place m of step k into the rows from `row`
-    on.
-    """
-    at = min(k, sigma.shape[1] - 1)
-    for r in range(TILE):
-        i = min(start + r, last, len(sigma) - 1)
-        for j in range(3):
-            w[row + j, r] = sigma[i, at, m, j] * sigma[i, at, m, j]
+    """Copy the variances of the position of the AN at place m of step k into three rows of w."""
+    spread(w, row, sigma, start, last, k, m)
+    for i in range(row, row + 3):
+        for r in range(TILE):
+            w[i, r] *= w[i, r]
 
 
 @inlined_ordered
-def component(w, start, k, m, row, scale, values, sigmas, used):
-    """Copy one component of the measurements at place m of step k into w, with its variance.
-
-    It counts as not measured, NaN, where its variance is not a positive number. `used` (R, T) are
-    the numbers of measured components.
+def copy(w, row, start, k, m, values, sigmas):
+    """Copy values at place m of step k into a row of Y, and their deviations into that of V; return
+    whether a value is a number.
     """
-    R, found = len(values), 0
+    last, found = len(values) - 1, False
     for r in range(TILE):
-        i = min(start + r, R - 1)
-        y, s = scale * values[i, k, m], scale * sigmas[i, k, m]
+        i = min(start + r, last)
+        value = values[i, k, m]
+        w[Y + row, r], w[V + row, r] = value, sigmas[i, k, m]
+        found |= not math.isnan(value)
+    return found
+
+
+@inlined_ordered
+def convert(w, row, scale):
+    """Scale a row of Y, and replace its deviations by variances.
+
+    A value counts as not measured, NaN, where its variance is not a positive number.
+    """
+    for r in range(TILE):
+        y, s = scale * w[Y + row, r], scale * w[V + row, r]
         q = s * s
-        usable = 0.0 < q < math.inf
+        usable = (q > 0.0) & (q < math.inf)
         w[Y + row, r] = y if usable else math.nan
         w[V + row, r] = max(q if usable else 1.0, LEAST_VARIANCE)
-    for r in range(min(TILE, R - start)):
-        if not math.isnan(w[Y + row, r]):
-            used[start + r, k] += 1
-            found += 1
-    return found
+        w[U, r] += 1.0 if usable & (abs(y) < math.inf) else 0.0
 
 
 @kernel(
     types.void(
-        *(given(2) for _ in range(4)), *(given(3) for _ in range(6)), given(4), given(5), given(4),
+        *(given(2) for _ in range(4)), *(given(3) for _ in range(6)), given(4), given(4), given(4),
         *[types.boolean] * 5,
         types.float64[:, :, ::1], types.float64[:, :, :, ::1], types.float64[:, ::1],
         types.int64[:, ::1],
@@ -241,35 +254,16 @@ def component(w, start, k, m, row, scale, values, sigmas, used):
     ORDERED,
 )  # fmt: skip
 def ekf(
-    x0,
-    root0,
-    F,
-    Q,
-    delay,
-    azimuth,
-    elevation,
-    delay_sigma,
-    azimuth_sigma,
-    elevation_sigma,
-    position,
-    rotation,
-    sigma,
-    toa,
-    jacobian,
-    unwrapped,
-    shared,
-    apart,
-    means,
-    covariances,
-    nis,
-    used,
-):
+    x0, root0, F, Q, delay, azimuth, elevation, delay_sigma, azimuth_sigma, elevation_sigma,
+    position, rotation, sigma, toa, jacobian, unwrapped, shared, apart,
+    means, covariances, nis, used,
+):  # fmt: skip
     """EKF means (R, T, 3) m, covariances (R, T, 3, 3) m^2, normalised innovations squared (R, T)
     and numbers (R, T) of measured components, into the last four arguments.
 
     x0 (R, n), root0, F, Q (n, n): prior mean, lower factor of the prior covariance, motion model;
     delay s ... elevation_sigma rad (R, T, K): measurements and their deviations, NaN = not
-    measured; position, sigma (R|1, T|1, K, 3) m, rotation (R|1, T|1, K, 3, 3): the ANs and the
+    measured; position, sigma (R|1, T|1, K, 3) m, rotation (R|1, T|1, K, 9): the ANs and the
     deviations of their positions; toa: whether the delays are used; jacobian, unwrapped, shared,
     apart: errata to run as printed.
     """
@@ -280,6 +274,8 @@ def ekf(
     for start in range(0, R, TILE):
         lanes = min(TILE, R - start)
         clear(w, 0, ROWS)
+        for r in range(TILE):
+            w[Y, r] = math.nan  # it remains so without times
         for i in range(n):
             for r in range(TILE):
                 x[i, r] = x0[min(start + r, R - 1), i]
@@ -292,21 +288,23 @@ def ekf(
             reach(TILE, P, w[D])
             clear(w, A, L)
             clear(w, N, N + 1)
+            clear(w, U, ROWS)
             for i in range(3):
                 for r in range(TILE):
                     w[X + i, r] = x[i, r]
             if shared:
                 variances(w, C0, start, R - 1, k, 0, sigma)
             for m in range(K):
-                found = component(w, start, k, m, 1, 1.0, azimuth, azimuth_sigma, used)
-                found += component(w, start, k, m, 2, 1.0, elevation, elevation_sigma, used)
+                found = copy(w, 1, start, k, m, azimuth, azimuth_sigma)
+                found |= copy(w, 2, start, k, m, elevation, elevation_sigma)
                 if toa:
-                    found += component(w, start, k, m, 0, LIGHT, delay, delay_sigma, used)
-                else:
-                    for r in range(TILE):
-                        w[Y, r], w[V, r] = math.nan, 1.0
-                if found == 0:
+                    found |= copy(w, 0, start, k, m, delay, delay_sigma)
+                if not found:
                     continue
+                if toa:
+                    convert(w, 0, LIGHT)
+                convert(w, 1, 1.0)
+                convert(w, 2, 1.0)
                 place(w, start, R - 1, k, m, position, rotation, unwrapped)
                 if not shared:
                     variances(w, C, start, R - 1, k, m, sigma)
@@ -328,6 +326,8 @@ def ekf(
             update(TILE, w, A, L, T, Z, N)
             conclude(lanes, x, root, w, T, Z)
             store(lanes, x, root, w[N], start, k, means, covariances, nis)
+            for r in range(lanes):
+                used[start + r, k] = int(w[U, r])
 
 
 def run(belief, batch, toa, flags):
@@ -338,13 +338,13 @@ def run(belief, batch, toa, flags):
     """
     R, T, K = batch.azimuth.shape
     delay = (batch.delay, batch.delay_sigma) if toa else (batch.azimuth, batch.azimuth_sigma)
-    own = batch.anchors.position_sigma
+    rotation, own = batch.anchors.rotation, batch.anchors.position_sigma
     arrays = (
         *belief, delay[0], batch.azimuth, batch.elevation,
         delay[1], batch.azimuth_sigma, batch.elevation_sigma,
-        batch.anchors.position, batch.anchors.rotation,
+        batch.anchors.position, rotation.reshape(*rotation.shape[:3], 9),
         np.zeros((1, 1, K, 3)) if own is None else own,
     )  # fmt: skip
-    out = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T)), np.zeros((R, T), int)
+    out = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T)), np.empty((R, T), int)
     ekf(*(np.ascontiguousarray(a, dtype=float) for a in arrays), toa, *flags, *out)
     return out

@@ -198,10 +198,12 @@ def test_other_models_run_in_numpy():
     assert EKF(Own(10.0)).kind() is None
 
 
-@pytest.mark.parametrize(("module", "least"), [("kalman", 0.8), ("access_nodes", 2.0)])
-def test_the_machine_code_is_vectorised(module, least, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "least"), [("kalman.ekf", 0.8), ("access_nodes.ekf", 2.0), ("centroid.centroid", 5.0)]
+)
+def test_the_machine_code_is_vectorised(name, least, tmp_path):
     """Loops over replications work on whole vector registers and call no mathematical library."""
-    text = assembly([f"{module}.ekf"], tmp_path)["ekf"]
+    text = assembly([name], tmp_path)[name.split(".")[1]]
     arithmetic = r"\bv(?:f?n?m(?:add|sub)\w*|add|sub|mul|div|sqrt)"
     packed = len(re.findall(arithmetic + r"pd\s.*%[yz]mm", text))
     assert packed >= least * len(re.findall(arithmetic + r"sd\s", text)) > 0
