@@ -13,7 +13,7 @@ import numpy as np
 
 from aoabench.cell import Cell
 from aoabench.engine import block
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.scenarios.indoor_map import IndoorMap
 from benchmarks import peers
 from benchmarks.timing import MODELS, Laps, Row, both_engines, by_engine, cell_of, in_turn

@@ -13,7 +13,8 @@ import numpy as np
 import aoabench
 from aoabench.cell import Cell
 from aoabench.engine.block import run_block
-from aoabench.engine.tiles import Draws, tile_of
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import tile_of
 from aoabench.roles import Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome

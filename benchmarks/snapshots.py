@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from aoabench.cell import Cell
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.maths.geometry import wrap
 from aoabench.models.azel import AzEl
 from aoabench.streams import Streams

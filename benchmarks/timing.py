@@ -10,7 +10,8 @@ from typing import Any, cast
 
 from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
-from aoabench.engine.tiles import Draws, tile_of
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import tile_of
 from aoabench.kernels.loading import Compiled
 from aoabench.roles import Estimator
 from aoabench.streams import Streams

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from aoabench import streams
-from aoabench.engine.tiles import Draws, estimate_tile
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import estimate_tile
 from aoabench.filters.particle import ParticleFilter
 from aoabench.kernels import loading
 from aoabench.models.unit_vector import UnitVector

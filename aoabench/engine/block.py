@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from aoabench.engine import metrics
+from aoabench.engine.draws import Draws
 from aoabench.engine.inputs import Inputs
 from aoabench.engine.threads import one_thread
-from aoabench.engine.tiles import Draws, tile_of, try_tile
+from aoabench.engine.tiles import tile_of, try_tile
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.types import Estimates
 

@@ -12,7 +12,8 @@ import numpy as np
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
 from aoabench.config.plugins import construct, import_plugins
 from aoabench.engine import metrics
-from aoabench.engine.tiles import Draws, tile_of, try_tile
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import tile_of, try_tile
 from aoabench.errors import UserError, did_you_mean
 from aoabench.roles import Scenario
 from aoabench.store import folder

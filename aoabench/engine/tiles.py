@@ -13,8 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from aoabench.engine.draws import Draws as Draws
-from aoabench.engine.draws import placed as placed
+from aoabench.engine.draws import Draws, placed
 from aoabench.engine.metrics import reasons
 from aoabench.errors import UserError
 from aoabench.roles import Estimator, Scenario

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from aoabench.cell import Cell
+from aoabench.engine.draws import Draws, placed
 from aoabench.engine.threads import one_thread
-from aoabench.engine.tiles import Draws, call, checked, placed, tile_of
+from aoabench.engine.tiles import call, checked, tile_of
 from aoabench.roles import Estimator, Noise, Scenario
 
 _SIMULATED = 8  # replications that fill a larger tile, as the simulation is not timed

@@ -70,7 +70,7 @@ def _imported(file: Path, _changed: int) -> list[Path]:
     names = set[str]()
     for node in ast.walk(ast.parse(file.read_bytes())):
         if isinstance(node, ast.Import | ast.ImportFrom):
-            inside = getattr(node, "module", None) or ""
+            inside = (node.module or "") if isinstance(node, ast.ImportFrom) else ""
             for dotted in (inside, *(alias.name for alias in node.names)):
                 names |= set(dotted.split("."))
     package = file.parents[1]

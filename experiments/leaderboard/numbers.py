@@ -12,7 +12,7 @@ import pandas as pd
 
 from aoabench import bounds
 from aoabench.cell import Cell
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.maths import statistics
 from aoabench.maths.estimate import Estimate
 from aoabench.noise.angular import NormalAngles

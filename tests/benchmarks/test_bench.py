@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from benchmarks import cost, filters, harness, kernels, peers, show, snapshots
 from benchmarks.__main__ import PAGE, PARTS, merged
 from benchmarks.timing import Laps, both_engines, cell_of, in_turn

@@ -9,7 +9,8 @@ import pytest
 
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
-from aoabench.engine.tiles import Draws, call
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import call
 from aoabench.roles import Noise
 from aoabench.types import Anchors, Batch
 

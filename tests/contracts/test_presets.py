@@ -10,7 +10,8 @@ import pytest
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
 from aoabench.engine.block import run_block
-from aoabench.engine.tiles import Draws, estimate_tile, tile_of
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import estimate_tile, tile_of
 from aoabench.types import Outcome
 from tests.golden.cells import with_every_noise
 

@@ -633,7 +633,7 @@ def test_known_access_nodes_are_drawn_per_replication_and_paired_over_the_uncert
     import numpy as np
 
     from aoabench.config.compose import compose_cells
-    from aoabench.engine.tiles import Draws
+    from aoabench.engine.draws import Draws
 
     offset = {}
     for sigma in (1.0, 3.0):

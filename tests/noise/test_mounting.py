@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.errors import BadValue
 from aoabench.maths.geometry import facing, in_frames, to_azel, wrap
 from aoabench.models.motion import RandomWalk

@@ -10,7 +10,7 @@ import pytest
 from aoabench.config.compose import compose_cells
 from aoabench.config.heard import check_heard
 from aoabench.engine.block import run_block
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.errors import UserError
 from aoabench.roles import Scenario
 from aoabench.types import Anchors

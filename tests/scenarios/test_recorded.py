@@ -287,7 +287,8 @@ def test_signal_strengths_that_mean_not_available(here, given, declared, expecte
 
 
 def test_the_strongest_anchor_is_one_that_has_a_strength(here):
-    from aoabench.engine.tiles import Draws, estimate_tile
+    from aoabench.engine.draws import Draws
+    from aoabench.engine.tiles import estimate_tile
     from aoabench.types import Outcome
 
     Path("log.csv").write_text(RSSI.format(-60, 127) + "2,a1,45,-10,127,3,3,1\n")

@@ -13,7 +13,7 @@ from scipy import integrate, stats
 
 from aoabench import bounds
 from aoabench.config.compose import compose_cells
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.estimators.discrepancy import Discrepancy
 from aoabench.estimators.plane import on_plane
 from aoabench.maths import statistics

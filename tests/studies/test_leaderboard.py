@@ -7,7 +7,7 @@ import pytest
 from aoabench.config import catalogue
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.store import tables
 from aoabench.store.fixes import fixes, steps
 from aoabench.studies import study

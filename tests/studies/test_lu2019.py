@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.maths.digest import flatten
 from aoabench.maths.geometry import to_unit
 from tests.studies.lu2019 import LU, N, errata_runs, made_up

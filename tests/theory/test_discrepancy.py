@@ -11,8 +11,8 @@ import shapely
 
 from aoabench.config.compose import compose_cells
 from aoabench.engine.block import run_block
-from aoabench.engine.tiles import Draws
-from aoabench.engine.tiles import together as together_as_one
+from aoabench.engine.draws import Draws
+from aoabench.engine.draws import together as together_as_one
 from aoabench.errors import BadValue, Unfit
 from aoabench.estimators import ellipses
 from aoabench.estimators.discrepancy import Discrepancy

@@ -10,7 +10,8 @@ import pytest
 from scipy import stats
 
 from aoabench.config.compose import compose_cells
-from aoabench.engine.tiles import Draws, estimate_tile
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import estimate_tile
 from aoabench.filters import divergence as rules
 from aoabench.filters import roots
 from aoabench.filters.access_nodes import PRINTED, AccessNodeEKF, expected

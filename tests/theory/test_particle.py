@@ -206,7 +206,7 @@ def test_degenerate_weights():
 def track_batch(track, noise_seed=5, R=2):
     from dataclasses import replace
 
-    from aoabench.engine.tiles import Draws
+    from aoabench.engine.draws import Draws
     from aoabench.noise.angular import VonMisesFisher
 
     truth, batch = Draws(track, VonMisesFisher(10.0), noise_seed).tile(0, R)

@@ -12,7 +12,8 @@ from scipy import special, stats
 
 from aoabench.config.compose import compose_cells
 from aoabench.engine import block
-from aoabench.engine.tiles import Draws, estimate_tile
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import estimate_tile
 from aoabench.filters import particle as pf
 from aoabench.filters import particle_inputs as inputs
 from aoabench.filters.compiled import KINDS, kind_of

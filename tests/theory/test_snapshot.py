@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from aoabench import bounds
 from aoabench.config.compose import compose_cells
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.estimators.least_squares import LeastSquares
 from aoabench.estimators.maximum_likelihood import AZIMUTHS, GaussNewton
 from aoabench.maths.geometry import facing, wrap

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from aoabench.cell import Cell
-from aoabench.engine.tiles import Draws, estimate_tile, tile_of
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import estimate_tile, tile_of
 from aoabench.maths import statistics
 from aoabench.store.fixes import Fixes
 from aoabench.types import Estimates, Outcome

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench import resources
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.maths import statistics
 from aoabench.maths.estimate import Estimate
 from aoabench.maths.geometry import in_frames, to_azel, wrap

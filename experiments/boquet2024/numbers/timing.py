@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from aoabench.config.compose import compose_cells
-from aoabench.engine.tiles import Draws, estimate_tile
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import estimate_tile
 
 from .common import METHODS
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from aoabench import bounds
 from aoabench.cell import Cell
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.maths import statistics
 from aoabench.maths.estimate import Estimate
 from aoabench.store.fixes import Fixes

@@ -9,7 +9,8 @@ import pandas as pd
 
 from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
-from aoabench.engine.tiles import Draws, estimate_tile
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import estimate_tile
 from aoabench.maths import statistics
 from aoabench.maths.estimate import Estimate
 from aoabench.store.fixes import Fixes

@@ -8,7 +8,8 @@ from typing import Any
 
 from aoabench.cell import Cell
 from aoabench.config.compose import compose_cells
-from aoabench.engine.tiles import Draws, estimate_tile, tile_of
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import estimate_tile, tile_of
 from aoabench.maths.geometry import Array
 from aoabench.types import Estimates
 

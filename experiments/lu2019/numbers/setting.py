@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench.cell import Cell
-from aoabench.engine.tiles import Draws
+from aoabench.engine.draws import Draws
 from aoabench.maths import statistics
 from aoabench.maths.geometry import LIGHT
 from aoabench.maths.places import at_places
