@@ -11,6 +11,8 @@ from aoabench.estimators.lines import LineLeastSquares
 from aoabench.estimators.losses import HUBER, NORMAL, STUDENT, TRUNCATED, Loss
 from aoabench.estimators.robust import LOSSES, RobustLikelihood
 from aoabench.estimators.robust_model import prepared, state
+from aoabench.estimators.robust_reference import best_start, descended, minimum
+from aoabench.kernels.robust_limits import STEEP
 from aoabench.maths.geometry import euler, to_azel, wrap
 from aoabench.roles import Noise
 from aoabench.types import Anchors, Batch, Outcome, Reason
@@ -158,14 +160,16 @@ def test_minima_are_those_of_scipy(engine, loss, height, elevations):
             assert np.abs(found.position[0, t, :axes] - fix).max() < 1e-8 * size
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("loss", ["student", "truncated"])
-def test_no_lower_minimum_is_near(loss):
+def test_no_lower_minimum_is_near(loss, engine):
     """The cost of a quarter of the anchors turned by 60 deg has several minima; a dense grid finds
     none that is lower by more than rounding, in at least 98 of 100 fixes.
     """
     p, batch = world(T=100, noise_deg=4.0, tilt=0.0)
     batch.azimuth[0, :, 1] += np.radians(60)
-    found = estimates(batch, 1.0, loss=loss, tolerance_m=1e-8, updates=1000)
+    settings = {"engine": engine, "tolerance_m": 1e-8, "updates": 1000}
+    found = estimates(batch, 1.0, loss=loss, **settings)
     rho = RobustLikelihood(loss=loss).rho
     x, y = np.meshgrid(np.arange(-2, 10.1, 0.1), np.arange(-2, 8.1, 0.1))
     grid = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 1.0)])
@@ -181,6 +185,23 @@ def test_no_lower_minimum_is_near(loss):
         mine = cost(*seen(at, *(a[0, 0] for a in batch.anchors.arrays.values())), t)
         lower += cost(azimuth, elevation, t).min() < mine[0] - 1e-9
     assert lower <= 2
+
+
+def test_graduated_non_convexity_finds_lower_minima():
+    """Of 1000 fixes of four azimuths, one of them turned, some have a lower minimum than the one
+    below the start, and none a higher one.
+    """
+    _, batch = world(T=1000, noise_deg=6.0, tilt=0.0)
+    turned = wrap(batch.azimuth + np.radians([0, 60, 0, 0]))[0]
+    angles = turned, np.zeros_like(turned), np.full_like(turned, SIGMA[0] ** -2), 0 * turned
+    s = np.broadcast_to(batch.anchors.position[0], (1000, 4, 3))
+    R = np.broadcast_to(batch.anchors.rotation[0], (1000, 4, 3, 3))
+    f, lines, _ = prepared(angles, s, R, np.nan)
+    given = f, best_start(f, lines, EACH[TRUNCATED]), EACH[TRUNCATED], 1e-4, 100
+    alone = descended(*given, np.full(1000, STEEP)).cost
+    both = minimum(*given).cost
+    assert np.all(both <= alone + 1e-9)
+    assert np.mean(both < alone - 0.01) > 0.003
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -206,14 +227,16 @@ def test_one_turned_anchor_of_four_moves_robust_losses_little(engine, height, no
         assert within or ratio > 3.0
 
 
-def test_an_anchor_that_disagrees_is_not_used():
-    p, batch = world(noise_deg=1.0, tilt=0.0)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_anchor_that_disagrees_is_not_used(engine):
+    _, batch = world(noise_deg=1.0, tilt=0.0)
     turned = replace(batch, azimuth=wrap(batch.azimuth + np.radians([0, 60, 0, 0])))
     for loss, used in (("student", 3), ("truncated", 3), ("normal", 4)):
-        assert np.mean(estimates(turned, 1.0, loss=loss).anchors_used == used) > 0.95
-    calm = estimates(batch, 1.0)
-    assert np.all(calm.score < 0.5)
-    assert np.all(estimates(turned, 1.0).score > calm.score)
+        found = estimates(turned, 1.0, loss=loss, engine=engine)
+        assert np.mean(found.anchors_used == used) > 0.95
+    calm, angry = (estimates(b, 1.0, engine=engine).score for b in (batch, turned))
+    assert np.all(calm < 0.5)
+    assert np.all(angry > calm)
 
 
 # --- rules ----------------------------------------------------------------------------------------
@@ -312,6 +335,24 @@ def test_wrap_and_poles(engine):
             found = estimates(batch, height, engine=engine)
             assert np.all(found.outcome == Outcome.OK)
             assert errors(found, p, 2).max() < 1e-6
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("loss", LOSSES)
+def test_a_minimum_at_a_pole_ends_the_descent(engine, loss):
+    """Near the point below an anchor that measured any azimuth, the likelihood is often greatest
+    at this point, where it has a cusp: at most 5 of 200 fixes do not converge.
+    """
+    rng = np.random.default_rng(4)
+    s, R = CORNERS[[4, 0, 2]], np.broadcast_to(np.eye(3), (3, 3, 3))
+    p = np.array([4.0, 3.0, 1.0]) + rng.uniform(-0.3, 0.3, (200, 3)) * [1, 1, 0]
+    azimuth, elevation = seen(p, s, R)
+    azimuth[:, 0] = rng.uniform(-np.pi, np.pi, 200)
+    azimuth[:, 1:] += np.radians(6.0) * rng.normal(size=(200, 2))
+    batch = Batch(wrap(azimuth)[None], elevation[None], Anchors(s, R))
+    found = estimates(batch, 1.0, loss=loss, engine=engine)
+    assert (found.outcome == Outcome.OSCILLATED).sum() <= 5
+    assert np.median(errors(found, p, 2)) < 0.4
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -455,6 +496,7 @@ def test_a_batch_of_the_anchors_heard_gives_the_same(engine):
     compact = Batch(*angles, Anchors(s[None], R[None]), anchor_id=number)
     one, other = (estimates(b, engine=engine) for b in (batch, compact))
     assert RobustLikelihood.heard_only
+    assert RobustLikelihood().compiled(compact.anchors) is not None
     assert np.array_equal(one.outcome, other.outcome)
     assert np.allclose(one.position, other.position, rtol=0, atol=1e-9, equal_nan=True)
 
