@@ -9,12 +9,17 @@ BIN     := $(VENV)/bin
 READY   := $(VENV)/.ready
 # What a processor's vector features may change: kernels against their references, every estimator's contract
 AVX2 := +avx2,+fma
-KERNEL_TESTS := tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes covariances discrepancy divergence \
+KERNEL_TESTS := tests/kernels $(addprefix tests/theory/test_,$(addsuffix .py,access_nodes centroid_kernel covariances discrepancy divergence \
 	kalman kalman_kernels laws_of_filters particle_kernels snapshot snapshot_covariance)) \
 	$(addprefix tests/contracts/test_,$(addsuffix .py,geometry laws presets))
 # The first interpreter that is new enough, unless the caller names one: make PYTHON=/usr/bin/python3.12
 PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; raise SystemExit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
+# $(call install,what): with uv if it is there and can (it does not read pip's settings), else with pip; what is installed
+# is compiled afterwards, on all cores
+UV      := $(shell command -v uv)
+install  = $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python $(1) ||) \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile $(1)
 
 .PHONY: help setup reproduce-figures report test test-processors test-avx2 test-sse2 lint bench notebooks lock clean
 
@@ -37,8 +42,9 @@ $(READY): requirements.lock pyproject.toml
 	@if [ -z "$(PYTHON)" ]; then echo "aoabench needs Python 3.11 or newer: make PYTHON=/path/to/python3.11" >&2; exit 2; fi
 	@echo "setting up $(VENV) with $(PYTHON) (once, a minute or two) ..."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@$(call install,--require-hashes -r requirements.lock)
+	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true
+	@$(call install,--no-deps --no-build-isolation -e .)
 	@touch $@
 
 reproduce-figures: $(READY)
@@ -73,7 +79,9 @@ bench: $(VENV)/.bench
 
 $(VENV)/.bench: $(READY)
 	@echo "adding the libraries that the bench compares with ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation -e '.[bench]'
+	@$(call install,--no-build-isolation -e '.[bench]')
+	@# particles works with NumPy 2, which its metadata excludes
+	@$(call install,--no-deps particles==0.4)
 	@touch $@
 
 notebooks: $(READY)

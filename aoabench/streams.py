@@ -8,12 +8,18 @@ can be repeated by its number.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.random.bit_generator import ISpawnableSeedSequence
+
+from aoabench.maths.seeds import seed_states
 
 TRUTH, MEASUREMENT, ANCHORS, ESTIMATOR = range(4)  # roles
+_FEW = 4  # replications whose keys are not worth computing together
 PRIOR, PARTICLES = range(2)  # purposes within the role ESTIMATOR
 
 
@@ -35,6 +41,44 @@ def generator(
         (seed, *_words(scenario), replication), spawn_key=(role, purpose)
     )
     return np.random.Generator(np.random.Philox(sequence))
+
+
+def generators(
+    seed: int, scenario: str, replications: Sequence[int], role: int, purpose: int = 0
+) -> list[np.random.Generator]:
+    """Return the `generator` of one role in each of several replications.
+
+    Keys of replications below 2^32 are computed together, in a fifth of the time.
+    """
+    if len(replications) < _FEW or max(replications) >= 1 << 32:
+        return [generator(seed, scenario, r, role, purpose) for r in replications]
+    before, key = (seed, *_words(scenario)), (role, purpose)
+    states = seed_states(before, replications, key)
+    seeds = [_Seed((*before, r), key, state) for r, state in zip(replications, states)]
+    return [np.random.Generator(np.random.Philox(one)) for one in seeds]  # type: ignore[arg-type]
+
+
+@dataclass
+class _Seed(ISpawnableSeedSequence):
+    """The SeedSequence of these arguments, whose state (2,) uint64 is known."""
+
+    entropy: tuple[int, ...]
+    spawn_key: tuple[int, ...]
+    state: np.ndarray
+
+    @cached_property
+    def _whole(self) -> np.random.SeedSequence:
+        return np.random.SeedSequence(self.entropy, spawn_key=self.spawn_key)
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Any:
+        """NumPy's generators ask for their key once."""
+        if n_words == len(self.state) and np.dtype(dtype) == self.state.dtype:
+            return self.state
+        return self._whole.generate_state(n_words, dtype)
+
+    def spawn(self, n_children: int) -> list[Any]:
+        """Further sequences, as SeedSequence spawns them."""
+        return self._whole.spawn(n_children)
 
 
 @lru_cache(maxsize=256)

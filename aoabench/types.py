@@ -7,7 +7,7 @@ components. SI units and radians unless a name says otherwise. NaN means "not me
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
 import numpy as np
@@ -199,9 +199,10 @@ class Batch:
     anchors: the anchors as known to the estimator, in the order of the last axis; anchor_id
     (R|1, T|1, B): their numbers in the scenario, from 0, -1 for an empty place, None for 0, 1, ...
     B-1. A batch of the anchors heard has the places of `Measurements.anchor_id` and anchors
-    (R|1, T, K, ...); an empty place measures nothing and holds finite anchors. time (R|1, T) s;
-    None for steps of the scenario's dt. prior_mean (R, n) and prior_cov (n, n) describe the state
-    before the first step (None for snapshot scenarios). A batch does not contain the truth.
+    (R|1, T, K, ...); an empty place measures nothing and holds finite anchors. `known` are all
+    anchors of the scenario as known to the estimator, None if `anchors` are. time (R|1, T) s; None
+    for steps of the scenario's dt. prior_mean (R, n) and prior_cov (n, n) describe the state before
+    the first step (None for snapshot scenarios). A batch does not contain the truth.
     """
 
     azimuth: Array
@@ -216,15 +217,27 @@ class Batch:
     prior_cov: Array | None = None
     time: Array | None = None
     anchor_id: np.ndarray | None = None
+    known: Anchors | None = None
 
     def of(self, i: int) -> Batch:
         """Return the batch of one replication, in arrays (1, ...); `i` is its index on the first
         axis.
         """
-        names = [f.name for f in fields(self) if f.name not in ("anchors", "prior_cov")]
-        each = {name: getattr(self, name) for name in names}
-        one = {n: a if a is None or len(a) == 1 else a[i : i + 1] for n, a in each.items()}
-        return Batch(anchors=self.anchors.of(i), prior_cov=self.prior_cov, **one)
+        each = self.arrays.items()
+        one = {n: a if a is None or len(a) == 1 else a[i : i + 1] for n, a in each}
+        known = None if self.known is None else self.known.of(i)
+        return replace(self, anchors=self.anchors.of(i), known=known, **one)  # type: ignore[arg-type]
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray | None]:
+        """The fields whose first axis is the replication."""
+        others = ("anchors", "known", "prior_cov")
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in others}
+
+    @property
+    def layout(self) -> Anchors:
+        """All anchors (R|1, T|1, B, ...) as known to the estimator, heard or not."""
+        return self.anchors if self.known is None else self.known
 
     @property
     def numbers(self) -> np.ndarray:

@@ -16,7 +16,7 @@ import pandas as pd
 
 from aoabench.resources import output_folder
 from aoabench.store.files import write_frame
-from benchmarks import filters, growth, kernels, process, show, snapshots
+from benchmarks import cost, filters, growth, harness, kernels, process, show, snapshots
 from benchmarks.timing import Row
 
 Part = Callable[[int], Iterator[Row]]
@@ -29,6 +29,8 @@ PARTS: dict[str, Part] = {
         snapshots.room,
         filters.access_nodes,
         kernels.generality,
+        harness.harness,
+        cost.cost,
         process.start,
         process.interrupt,
         process.scaling,
@@ -40,6 +42,7 @@ PARTS: dict[str, Part] = {
 }
 PAGE = Path("docs/bench.md")
 COMMITTED = Path("results/bench/bench.parquet")
+BEFORE = COMMITTED.with_name("before.parquet")  # the version before, on the same machine
 
 
 def main() -> None:
@@ -65,8 +68,10 @@ def main() -> None:
             frame = merged(frame, name, measured(name, given.repeats))
             write_frame(path, frame)  # after each part, so that an interruption loses no part
     show.draw(frame, path.with_suffix(".png"))
+    cost.draw(frame, path.with_name("cost.png"))
     if PAGE.exists() and path == COMMITTED:
-        show.write_into(PAGE, show.markdown(frame))
+        before = pd.read_parquet(BEFORE) if BEFORE.exists() else None
+        show.write_into(PAGE, show.markdown(frame, before))
     print(f"written to {path}")
 
 

@@ -48,7 +48,7 @@ def pieces() -> dict[str, Callable[[], Any]]:
     """The pieces of a particle-step, each called CALLS times, and last the likelihood for four
     anchors.
     """
-    from aoabench.kernels import particle, particle_likelihood, philox, small
+    from aoabench.kernels import particle_likelihood, particle_resampling, philox, small
 
     rng = np.random.default_rng(0)
     M = -(-PARTICLES // philox.TILE) * philox.TILE
@@ -59,12 +59,12 @@ def pieces() -> dict[str, Callable[[], Any]]:
         np.empty(M, dtype=np.float32),
     )
     table, w = (
-        np.ones(2 * particle_likelihood.PAIRS, dtype=np.float32),
+        np.ones(4 * particle_likelihood.ROWS, dtype=np.float32),
         rng.random(M, dtype=np.float32),
     )
     children = np.empty_like(particles)
     w[PARTICLES:] = 0
-    scratch = np.empty(M), np.empty(M, dtype=np.int32), np.empty(M + 1, dtype=np.float32)
+    scales, parent = np.ones(M // philox.TILE), np.empty(M + 1, dtype=np.int32)
 
     def often(action: Callable[..., Any], *given: Any) -> Callable[[], Any]:
         return lambda: [action(*given) for _ in range(CALLS)]
@@ -78,7 +78,9 @@ def pieces() -> dict[str, Callable[[], Any]]:
             )
             for name, kind in models.items()
         },
-        "resampling": often(particle.resample, w, PARTICLES, 0.3, *scratch, particles, children),
+        "resampling": often(
+            particle_resampling.resample, w, scales, PARTICLES, 0.3, parent, particles, children
+        ),
         "four": often(_four_anchors(), x, y, z, terms, out),
     }
 
@@ -87,14 +89,14 @@ def _four_anchors() -> Callable[..., None]:
     from numba import njit
 
     from aoabench.kernels.compile import OPTIONS as options
-    from aoabench.kernels.particle_likelihood import ONE as one
     from aoabench.kernels.particle_likelihood import TINY as tiny
     from aoabench.kernels.philox import TILE as tile
+    from aoabench.kernels.single import inverse_root
 
     @njit(forceinline=True, **options)
     def term(x, y, z, t):  # type: ignore[no-untyped-def]
         px, py, pz = x - t[0], y - t[1], z - t[2]
-        inverse = one / math.sqrt(px * px + py * py + pz * pz + tiny)
+        inverse = inverse_root(px * px + py * py + pz * pz + tiny)
         ex, ey, ez = t[3] - px * inverse, t[4] - py * inverse, t[5] - pz * inverse
         return t[6] * (ex * ex + ey * ey + ez * ez)
 

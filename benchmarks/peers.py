@@ -8,6 +8,7 @@ faster implementation in one of these libraries is welcome here.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from aoabench.maths.geometry import Array
@@ -15,12 +16,28 @@ from aoabench.resources import version
 from aoabench.roles import Scenario
 from aoabench.types import Batch
 
-Laps = dict[str, Callable[[], Array]]  # by kind: EKF, UKF, PF
+
+@dataclass(frozen=True)
+class Lap:
+    """A filter's call, which returns the positions (T, 3) m of a lap, and the number of equal laps
+    that it computes.
+    """
+
+    call: Callable[[], Array]
+    laps: int = 1
+
+    def __call__(self) -> Array:
+        return self.call()
 
 
-def available(scenario: Scenario, batch: Batch, sigma: float, particles: int) -> dict[str, Laps]:
-    """EKF, UKF and PF of each library that is installed, for one replication's measurements (1, T,
-    B) with a deviation in rad.
+KINDS = {"EKF": "ekf", "UKF": "ukf", "PF": "particle_filter"}
+
+
+def available(
+    scenario: Scenario, batch: Batch, sigma: float, particles: int
+) -> dict[str, dict[str, Lap]]:
+    """The EKF, UKF and PF of each library that is installed, those that it has, for one
+    replication's measurements (1, T, B) with a deviation in rad.
     """
     given = scenario, batch, sigma, particles
     found: dict[str, Any] = {}
@@ -32,7 +49,19 @@ def available(scenario: Scenario, batch: Batch, sigma: float, particles: int) ->
         from benchmarks.filter_py import FilterPy
 
         found[f"FilterPy {number}"] = FilterPy(*given)
+    if number := version("particles"):
+        from benchmarks.particles_lib import Particles
+
+        found[f"particles {number}"] = Particles(*given)
+    if number := version("jax"):
+        from benchmarks.jax_filters import Jax
+
+        found[f"JAX {number}"] = Jax(*given)
     return {
-        name: {"EKF": library.ekf, "UKF": library.ukf, "PF": library.particle_filter}
+        name: {
+            kind: Lap(getattr(library, call), 1 if kind == "PF" else getattr(library, "laps", 1))
+            for kind, call in KINDS.items()
+            if hasattr(library, call)
+        }
         for name, library in found.items()
     }

@@ -56,16 +56,23 @@ def _point(axis: Any, row: dict[Any, Any], height: int) -> None:
     axis.plot(row["value"], height + 0.13 * (1.5 - i), marker, color=colour, markersize=4)
 
 
-def markdown(frame: pd.DataFrame) -> str:
-    """The table for the documentation, without the rows that serve only to compute ratios."""
+def markdown(frame: pd.DataFrame, before: pd.DataFrame | None = None) -> str:
+    """The table for the documentation, without the rows that serve only to compute ratios; `before`
+    has the rows of an earlier version, measured on the same machine.
+    """
     frame = frame[~frame["what"].str.contains(" in ")]
-    lines = ["| what | | measured | target | how |", "|---|---|---|---|---|"]
-    for row in frame.to_dict("records"):
-        value = f"{row['value']:.3g} {row['unit']}"
-        lines.append(
-            f"| {row['what']} | {row['detail']} | {value} | {row['target']} | {row['how']} |"
-        )
+    earlier = {} if before is None else _values(before)
+    lines = ["| what | | before | measured | target | how |", "|---|---|---|---|---|---|"]
+    for key, value, row in zip(_values(frame), _values(frame).values(), frame.to_dict("records")):
+        given = [*key, earlier.get(key, ""), value, row["target"], row["how"]]
+        lines.append(f"| {' | '.join(given)} |")
     return "\n".join(lines)
+
+
+def _values(frame: pd.DataFrame) -> dict[tuple[str, str], str]:
+    """The value with its unit of each row, by what and detail."""
+    rows = frame.to_dict("records")
+    return {(r["what"], r["detail"]): f"{r['value']:.3g} {r['unit']}".strip() for r in rows}
 
 
 def write_into(page: Path, table: str) -> None:

@@ -42,11 +42,16 @@ def in_turn(actions: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str,
     return {name: statistics.median(found) for name, found in seconds.items()}
 
 
-def cell_of(*words: str, filters: Sequence[str] = (), estimators: Sequence[str] = ()) -> Cell:
-    """The cell of some overrides, filters and snapshot estimators."""
+def cell_of(
+    *words: str,
+    filters: Sequence[str] = (),
+    estimators: Sequence[str] = (),
+    own: Mapping[str, Any] | None = None,
+) -> Cell:
+    """The cell of some overrides, filters and snapshot estimators, and own estimators by name."""
     chosen = [f"filter=[{','.join(filters)}]"] if filters else []
     chosen += [f"estimator=[{','.join(estimators)}]"] if estimators else []
-    return compose_cells([*words, *chosen])[0]
+    return compose_cells([*words, *chosen], extra=own)[0]
 
 
 def by_engine(estimator: Estimator, engine: str) -> Estimator:

@@ -1,5 +1,6 @@
 """Known answers of the random streams, and who draws from which: stored results rest on both."""
 
+import pickle
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from aoabench.filters.particle import ParticleFilter
 from aoabench.kernels import loading
 from aoabench.models.unit_vector import UnitVector
 from aoabench.roles import Estimator, Noise, Scenario
-from aoabench.streams import Streams
+from aoabench.streams import ESTIMATOR, PARTICLES, Streams, generator, generators
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
 # the first five uniform numbers at seed 1, scenario square_track, replication 7
@@ -136,3 +137,20 @@ def test_a_particle_filter_moves_its_particles_by_its_own_stream(engine, track):
     F, Q = track.motion.matrices(track.dt)
     x = (mean + normals[0] * [1.0, 2.0, 3.0]) @ F.T + normals[1] @ np.linalg.cholesky(Q).T
     assert np.allclose(found.position[0, 0], x.mean(axis=0), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**70])
+@pytest.mark.parametrize("numbers", [range(3), range(5, 17), [2, 0, 9, 2**40, 1]])
+def test_generators_of_several_replications_are_those_of_each(seed, numbers):
+    """In their draws, their children and their copies."""
+    together = generators(seed, "place", numbers, ESTIMATOR, PARTICLES)
+    for number, one in zip(numbers, together, strict=True):
+        alone = generator(seed, "place", number, ESTIMATOR, PARTICLES)
+        copied = pickle.loads(pickle.dumps(one))
+        assert one.random() == alone.random() == copied.random()
+        for _ in range(2):
+            (a,), (b,) = one.spawn(1), alone.spawn(1)
+            assert a.standard_normal() == b.standard_normal()
+        for words, kind in ((3, np.uint64), (2, np.uint32)):
+            states = (g.bit_generator.seed_seq.generate_state(words, kind) for g in (one, alone))
+            assert np.array_equal(*states)

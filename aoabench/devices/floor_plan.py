@@ -69,9 +69,31 @@ class FloorPlan:
             )
             raise BadValue("anchors", names[0], allowed)
 
-    def in_sight(self, points: Array) -> np.ndarray:
-        """Mask (N, B) of the anchors in line of sight of each point (N, 2+) m, see `sight`."""
-        return in_sight(points, self.position, self.walls, self.known.facing)
+    def in_sight(self, points: Array, asked: np.ndarray | None = None) -> np.ndarray:
+        """Mask (N, B) of the anchors in line of sight of each point (N, 2+) m, among those `asked`
+        (N, B) for, see `sight`.
+        """
+        return in_sight(points, self.position, self.walls, self.known.facing, asked)
+
+    def nearest_in_sight(self, points: Array, count: int) -> np.ndarray:
+        """Mask (N, B) of the `count` nearest anchors in line of sight of each point (N, 3) m; of
+        equally near ones the first in the file.
+
+        Sight is computed from the nearest anchors on, until enough are seen.
+        """
+        apart = sum((points[:, None, i] - self.position[:, i]) ** 2 for i in range(3))
+        order = np.argsort(apart, axis=1, kind="stable")
+        seen, todo = np.zeros(order.shape, dtype=bool), np.arange(len(points))
+        for first in range(0, order.shape[1], 2 * count):
+            asked = np.zeros((len(todo), order.shape[1]), dtype=bool)
+            np.put_along_axis(asked, order[todo, first : first + 2 * count], True, axis=1)
+            seen[todo] |= self.in_sight(points[todo], asked)
+            todo = todo[seen[todo].sum(axis=1) < count]
+        ranked = np.take_along_axis(seen, order, axis=1)
+        ranked &= np.cumsum(ranked, axis=1) <= count
+        chosen = np.zeros_like(seen)
+        np.put_along_axis(chosen, order, ranked, axis=1)
+        return chosen
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -29,21 +29,26 @@ _TURN = 2 * math.pi
 
 
 def in_sight(
-    points: Array, anchors: Array, segments: Array | None, facing: Array | None = None
+    points: Array,
+    anchors: Array,
+    segments: Array | None,
+    facing: Array | None = None,
+    asked: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Mask (N, B) of the anchors (B, 2+) m in line of sight of each point (N, 2+) m.
+    """Mask (N, B) of the anchors (B, 2+) m in line of sight of each point (N, 2+) m, among those
+    `asked` (N, B) for; None: all.
 
     No wall (W, 2, 2) m meets the line from point to anchor. `facing` (B,) rad are the directions
     that the anchors face, counter-clockwise from +x; without it, an anchor on a wall is hidden.
     """
-    clear = np.ones((len(points), len(anchors)), dtype=bool)
+    clear = np.ones((len(points), len(anchors)), dtype=bool) if asked is None else asked.copy()
     if segments is None or not clear.size:
         return clear
     own = np.zeros((len(anchors), len(segments)), dtype=bool)
     if facing is not None:
         own = on_walls(anchors, segments)
-    for first, part in _hidden(points, anchors, segments, own):
-        clear[first : first + len(part)] = ~part
+    for point, anchor in _hidden(points, anchors, segments, own, clear):
+        clear[point, anchor] = False
     if facing is not None:
         for j in np.flatnonzero(own.any(axis=1)):
             ends = wall_directions(anchors[j, :2], segments[own[j]], _reach(segments))
@@ -125,10 +130,10 @@ def _in_sector(d: Array, facing: float, directions: Array) -> np.ndarray:
 
 
 def _hidden(
-    points: Array, anchors: Array, segments: Array, own: np.ndarray
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the first row and the mask (n, B) of hidden anchors for parts of the points; a wall of
-    `own` (B, W) hides its anchor from no point.
+    points: Array, anchors: Array, segments: Array, own: np.ndarray, asked: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield indices of points and anchors, of those `asked` (N, B) for, that a wall hides from each
+    other; a wall of `own` (B, W) hides its anchor from no point.
     """
     import shapely
 
@@ -137,16 +142,17 @@ def _hidden(
         order, [len(order) // 8]
     )  # the longest walls first: they block most lines, which halves the work
     trees = [shapely.STRtree(shapely.linestrings(segments[group])) for group in groups]
-    step = max(_AT_ONCE // len(anchors), 1)
-    for first in range(0, len(points), step):
-        part = points[first : first + step, None, :2]
-        ways = np.stack(np.broadcast_arrays(part, anchors[None, :, :2]), axis=2).reshape(-1, 2, 2)
-        lines, left = shapely.linestrings(ways), np.arange(len(ways))
+    points_asked, anchors_asked = np.nonzero(asked)
+    for first in range(0, len(points_asked), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        point, anchor = points_asked[some], anchors_asked[some]
+        lines = shapely.linestrings(np.stack([points[point, :2], anchors[anchor, :2]], axis=1))
+        left = np.arange(len(lines))
         for group, tree in zip(groups, trees):
             way, wall = tree.query(lines[left], predicate="intersects")
             if own.any():
-                way = way[~own[left[way] % len(anchors), group[wall]]]
+                way = way[~own[anchor[left[way]], group[wall]]]
             hidden = np.zeros(len(left), dtype=bool)
             hidden[way] = True
+            yield point[left[hidden]], anchor[left[hidden]]
             left = left[~hidden]
-        yield first, ~np.isin(np.arange(len(ways)), left).reshape(-1, len(anchors))

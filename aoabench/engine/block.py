@@ -22,14 +22,16 @@ Rows = dict[str, np.ndarray]
 @dataclass(frozen=True)
 class Results:
     """An estimator's results for some replications: numbers (R,), true states (R, T, n), estimates
-    and the facts about their input; `keep` (R,) selects the replications that become rows.
+    and the facts about their input; those in `keep` become rows. `place` (T,): the places
+    (metrics.places) of true positions that all replications share.
     """
 
     numbers: np.ndarray
     truth: np.ndarray
     estimates: Estimates
     inputs: Inputs
-    keep: np.ndarray
+    keep: slice
+    place: np.ndarray | None = None
 
     @cached_property
     def imprecise(self) -> np.ndarray:
@@ -40,11 +42,14 @@ class Results:
         """The results without the replications before and after those that become rows; two are
         left, if there are two, as NumPy may sum a single one in another order.
         """
-        first, last = np.flatnonzero(self.keep)[[0, -1]]
-        first = max(min(first, len(self.keep) - 2), 0)
-        some = slice(first, max(last + 1, first + 2))
+        first = max(min(self.keep.start, len(self.numbers) - 2), 0)
+        some = slice(first, max(self.keep.stop, first + 2))
+        if some == slice(0, len(self.numbers)):
+            return self
         inputs, estimates = (_cut(one, some) for one in (self.inputs, self.estimates))
-        return Results(self.numbers[some], self.truth[some], estimates, inputs, self.keep[some])
+        keep = slice(self.keep.start - first, self.keep.stop - first)
+        numbers, truth = self.numbers[some], self.truth[some]
+        return Results(numbers, truth, estimates, inputs, keep, self.place)
 
 
 def _cut(arrays: Any, some: slice) -> Any:
@@ -56,7 +61,7 @@ def _cut(arrays: Any, some: slice) -> Any:
 RowMaker = Callable[[Results], Rows]
 
 
-_SPAN = 64  # replications whose estimates are held before they become rows
+_SPAN = 2**16  # fixes whose estimates are held before they become rows
 
 
 def run_block(
@@ -101,19 +106,22 @@ def _same_tiles(
     """The tables of each estimator; all of them take tiles of `size` replications."""
     rows = {name: {kind: list[Rows]() for kind in makers} for name in estimators}
     errors = {name: dict[int, str]() for name in estimators}
-    span = size * max(_SPAN // size, 1)
-    for first in range(wanted.start - wanted.start % size, wanted.stop, span):
+    start = wanted.start - wanted.start % size
+    truth = draws.tile(start, size)[0][0]
+    place = metrics.places(truth[:, :3]) if "fixes" in makers else None
+    span = size * max(_SPAN // (size * len(truth)), 1)
+    for first in range(start, wanted.stop, span):
         tiles = range(first, min(first + span, wanted.stop), size)
         inputs, found = zip(*(_tried(draws, estimators, tile, size) for tile in tiles))
         facts = Inputs.joined(inputs)
         numbers = np.arange(first, tiles[-1] + size)
-        keep = (numbers >= wanted.start) & (numbers < wanted.stop)
+        keep = slice(max(wanted.start - first, 0), min(wanted.stop - first, len(numbers)))
         for name in estimators:
-            truth = np.concatenate([tile[name][0] for tile in found])
+            truth = _joined([tile[name][0] for tile in found])
             estimates = _one_after_the_other([tile[name][1] for tile in found])
             for tile in found:
                 errors[name] |= tile[name][2]
-            results = Results(numbers, truth, estimates, facts, keep).near_those_kept()
+            results = Results(numbers, truth, estimates, facts, keep, place).near_those_kept()
             for kind, make in makers.items():
                 rows[name][kind].append(make(results))
     blocks = {}
@@ -133,8 +141,7 @@ def _tried(
     """The facts about one tile's input, and what `try_tile` returns for each estimator."""
     heard_only = any(estimator.heard_only for estimator in estimators.values())
     _, batch = draws.tile(first, size, heard_only)
-    recorded, known = draws.scenario.recorded is not None, draws.drawn(first, size).known
-    inputs = Inputs.of(batch, recorded, known)
+    inputs = Inputs.of(batch, draws.scenario.recorded is not None)
     return inputs, {name: try_tile(draws, e, first) for name, e in estimators.items()}
 
 
@@ -142,6 +149,8 @@ def _one_after_the_other(tiles: list[Estimates]) -> Estimates:
     """The estimates of all tiles; NaN in place of an optional array that some tiles lack, such as
     one whose replications all raised.
     """
+    if len(tiles) == 1:
+        return tiles[0]
     joined: dict[str, np.ndarray | None] = {}
     for name in (f.name for f in fields(Estimates)):
         arrays = [getattr(tile, name) for tile in tiles]
@@ -165,9 +174,9 @@ def _rows(of: Results) -> Rows:
 
 def _reasons(of: Results) -> Rows:
     found = metrics.reason_counts(of.estimates)
-    keep = of.keep[found["replication"]]
-    found["replication"] = of.numbers[found["replication"]]
-    return {k: v[keep] for k, v in found.items()}
+    index = found["replication"]
+    keep = slice(*np.searchsorted(index, (of.keep.start, of.keep.stop)))
+    return {k: v[keep] for k, v in (found | {"replication": of.numbers[index]}).items()}
 
 
 def _details(of: Results) -> Rows:
@@ -182,6 +191,8 @@ def _details(of: Results) -> Rows:
 
 def _fixes(of: Results) -> Rows:
     found = {"replication": of.numbers, **metrics.per_fix(of.estimates, of.truth[..., :3])}
+    assert of.place is not None
+    found["place"] = np.broadcast_to(of.place, of.estimates.outcome.shape)
     flags = {"n_unmeasured": of.inputs.unmeasured, "imprecise": of.imprecise}
     found |= {name: flag.astype(np.int8) for name, flag in flags.items()}
     return {k: v[of.keep] for k, v in found.items()}
@@ -199,4 +210,9 @@ def _failures(rows: Rows, errors: Mapping[int, str]) -> dict[str, Rows]:
 
 
 def _join(blocks: list[Rows]) -> Rows:
-    return {k: np.concatenate([b[k] for b in blocks]) for k in blocks[0]}
+    return {k: _joined([b[k] for b in blocks]) for k in blocks[0]}
+
+
+def _joined(arrays: list[np.ndarray]) -> np.ndarray:
+    """The arrays one after the other; a single one is not copied."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)

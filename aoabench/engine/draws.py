@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from aoabench.maths.geometry import Array
 from aoabench.maths.places import at_anchors, at_places
 from aoabench.roles import Noise, Scenario
-from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, generator
+from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, generators
 from aoabench.types import Anchors, Batch, Measurements
 
 _EMPTY = {"position": np.zeros(3), "rotation": np.eye(3), "position_sigma": np.zeros(3)}
@@ -60,13 +60,13 @@ class Drawn:
         batch = Batch(
             anchors=anchors,
             anchor_id=numbers,
+            known=None if numbers is None else self.known,
             prior_mean=mean,
             prior_cov=cov,
             time=self.time,
             **measured,
         )
-        arrays = (getattr(batch, f.name) for f in fields(batch) if f.name != "anchors")
-        for array in (*anchors.arrays.values(), *arrays):
+        for array in (cov, *batch.arrays.values(), *anchors.arrays.values()):
             if array is not None:
                 array.setflags(write=False)  # all estimators see the same
         return batch
@@ -147,21 +147,26 @@ class Draws:
         known = [
             self.noise.known_anchors(rng, self.scenario) for rng in self._rngs(numbers, ANCHORS)
         ]
-        truth.setflags(write=False)
+        all_anchors = together(known)
+        for array in (truth, *all_anchors.arrays.values()):
+            array.setflags(write=False)
         return Drawn(
             truth=truth,
             measured=measured,
-            known=together(known),
+            known=all_anchors,
             prior=(np.stack([mean for mean, _ in given]), given[0][1]) if given else None,
             time=self.scenario.times(truth.shape[1])[None],
         )
 
     def _truth(self, numbers: range) -> Array:
-        """True states (R, T, n); one for all replications if the scenario `shares_positions`."""
-        if self.scenario.shares_positions:
-            (rng,) = self._rngs(range(1), TRUTH)
-            return np.stack([self.scenario.truth(rng)] * len(numbers))
-        return np.stack([self.scenario.truth(rng) for rng in self._rngs(numbers, TRUTH)])
+        """True states (R, T, n), a view of one array if they are equal in all replications, as they
+        are in a scenario that `shares_positions`.
+        """
+        drawn = range(1) if self.scenario.shares_positions else numbers
+        each = [self.scenario.truth(rng) for rng in self._rngs(drawn, TRUTH)]
+        if all(np.array_equal(states, each[0]) for states in each[1:]):
+            return np.broadcast_to(each[0], (len(numbers), *each[0].shape))
+        return np.stack(each)
 
     def _measured(self, numbers: range, truth: Array) -> Measurements:
         """The noise's measurements (R, T, K), or the scenario's recording (R, T, B)."""
@@ -173,7 +178,7 @@ class Draws:
         return measured if ids is None or ids.ndim == 3 else replace(measured, anchor_id=ids[None])
 
     def _rngs(self, numbers: range, role: int, purpose: int = 0) -> Sequence[np.random.Generator]:
-        return [generator(self.seed, self.scenario.name, r, role, purpose) for r in numbers]
+        return generators(self.seed, self.scenario.name, numbers, role, purpose)
 
 
 def together(each: Sequence[Anchors]) -> Anchors:
@@ -188,10 +193,14 @@ def together(each: Sequence[Anchors]) -> Anchors:
 
 def placed(batch: Batch, at: np.ndarray) -> Batch:
     """A batch whose place i holds the data of the tile's replication `at[i]`."""
-    names = [f.name for f in fields(Batch) if f.name not in ("anchors", "prior_cov")]
-    given = {name: getattr(batch, name) for name in names}
-    each = {name: a if a is None else taken(a, at) for name, a in given.items()}
-    return replace(batch, anchors=placed_anchors(batch.anchors, at), **each)  # type: ignore[arg-type]
+    each = {name: a if a is None else taken(a, at) for name, a in batch.arrays.items()}
+    known = None if batch.known is None else placed_anchors(batch.known, at)
+    return replace(
+        batch,
+        anchors=placed_anchors(batch.anchors, at),
+        known=known,
+        **each,  # type: ignore[arg-type]
+    )
 
 
 def placed_anchors(anchors: Anchors, at: np.ndarray) -> Anchors:

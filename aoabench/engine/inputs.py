@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aoabench.maths.geometry import Array
-from aoabench.types import Anchors, Batch, Estimates, Outcome
+from aoabench.types import Batch, Estimates, Outcome
 
 
 @dataclass(frozen=True)
@@ -26,16 +26,13 @@ class Inputs:
     time: Array
 
     @classmethod
-    def of(cls, batch: Batch, recorded: bool = False, known: Anchors | None = None) -> Inputs:
-        """The facts about a batch. The times of a recording are NaN: the log keeps its own.
-
-        `known`: all anchors, where those of the batch are the anchors heard at each step.
-        """
+    def of(cls, batch: Batch, recorded: bool = False) -> Inputs:
+        """The facts about a batch. The times of a recording are NaN: the log keeps its own."""
         unmeasured = np.isnan(batch.azimuth) & np.isnan(batch.elevation)
         if batch.delay is not None:
             unmeasured &= np.isnan(batch.delay)
         shape = unmeasured.shape[:2]
-        centre, extent = _layout((known or batch.anchors).position)
+        centre, extent = _layout(batch.layout.position)
         time = np.nan if recorded or batch.time is None else batch.time
         return cls(
             np.asarray(unmeasured.all(axis=2)),
@@ -47,6 +44,8 @@ class Inputs:
     @classmethod
     def joined(cls, tiles: Sequence[Inputs]) -> Inputs:
         """The facts about the replications of several tiles, one after the other."""
+        if len(tiles) == 1:
+            return tiles[0]
         names = ("unmeasured", "centre", "extent", "time")
         return cls(*(np.concatenate([getattr(tile, name) for tile in tiles]) for name in names))
 
@@ -58,24 +57,36 @@ class Inputs:
         where z is NaN. An infinite covariance is imprecise; a fix without a position or with NaN
         in its covariance is not.
         """
-        given = ~np.isin(estimates.outcome, (Outcome.FAILED, Outcome.REJECTED))
-        P, offset = estimates.covariance, estimates.position - self.centre
+        given = (estimates.outcome != Outcome.FAILED) & (estimates.outcome != Outcome.REJECTED)
+        P = estimates.covariance
         if P is None:
             return np.zeros(given.shape, dtype=bool)
-        flat = np.isnan(offset[..., 2]) | np.isnan(P[..., 2, 2])
-        if flat.any():
-            offset[..., 2] = np.where(np.isnan(offset[..., 2]), 0.0, offset[..., 2])
-            P = np.where(flat[..., None, None] & _OF_Z, 0.0, P)
-        limit = np.maximum(self.extent**2, (offset**2).sum(axis=-1))
+        offset = estimates.position - self.centre
+        x, y, z = offset[..., 0], offset[..., 1], offset[..., 2]
+        flat = np.isnan(z) | np.isnan(P[..., 2, 2])
+        z = np.where(np.isnan(z), 0.0, z)
+        limit = np.maximum(self.extent**2, x**2 + y**2 + z**2)
         with np.errstate(over="ignore", invalid="ignore"):
-            norm = np.einsum("rtij,rtij->rt", P, P)  # at least the largest eigenvalue's square
-            suspect = given & ~(norm <= limit**2)
+            suspect = given & ~(_square(P, flat) <= limit**2)
         if suspect.any():
-            suspect[suspect] = _larger(P[suspect], limit[suspect])
+            some = flat[suspect]
+            cut = np.where(some[:, None, None] & _OF_Z, 0.0, P[suspect])
+            suspect[suspect] = _larger(cut, limit[suspect])
         return np.asarray(suspect)
 
 
 _OF_Z = np.array([[False, False, True], [False, False, True], [True, True, True]])
+
+
+def _square(P: Array, flat: np.ndarray) -> Array:
+    """Sum of the squared entries of covariances (R, T, 3, 3), of the x, y block where `flat` (R,
+    T): it is at least the square of the largest eigenvalue.
+    """
+    square = P[..., 0, 0] ** 2 + P[..., 1, 1] ** 2 + P[..., 0, 1] ** 2 + P[..., 1, 0] ** 2
+    if flat.all():
+        return square
+    of_z = P[..., 0, 2] ** 2 + P[..., 2, 0] ** 2 + P[..., 1, 2] ** 2 + P[..., 2, 1] ** 2
+    return square + np.where(flat, 0.0, of_z + P[..., 2, 2] ** 2)
 
 
 def _larger(P: Array, limit: Array) -> np.ndarray:

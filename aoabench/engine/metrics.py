@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from aoabench.maths.geometry import Array
+from aoabench.maths.linalg import quadratic
 from aoabench.types import Estimates, Outcome, Reason
 
 OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome], dtype=object)
 REASONS = np.array(["", *(r.name.lower() for r in Reason if r)], dtype=object)  # "" for NONE
+_NONE, _NOT_STATED = np.int8(Reason.NONE), np.int8(Reason.NOT_STATED)
+_SINGULAR = 1e-6  # of the smallest eigenvalue of a covariance relative to the largest
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -25,7 +30,7 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
     outcome = estimates.outcome
     error = estimates.position - truth
     accepted = (outcome != Outcome.FAILED) & (outcome != Outcome.REJECTED)
-    scored = accepted & np.isfinite(truth[..., :2]).all(-1)
+    scored = accepted & np.isfinite(truth[..., 0]) & np.isfinite(truth[..., 1])
     columns: dict[str, np.ndarray] = {
         "rmse_3d_m": root_mean_square(distance(error), scored),
         "rmse_xy_m": root_mean_square(np.hypot(error[..., 0], error[..., 1]), scored),
@@ -34,7 +39,7 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
         "n_fixes": np.full(len(outcome), outcome.shape[1]),
     }
     for name in ("ok", "diverged", "oscillated", "failed", "rejected"):
-        columns[f"n_{name}"] = (outcome == Outcome[name.upper()]).sum(axis=1)
+        columns[f"n_{name}"] = np.count_nonzero(outcome == Outcome[name.upper()], axis=1)
     nothing = np.full(len(outcome), np.nan)
     columns["iterations"] = (
         nothing if estimates.iterations is None else _mean(estimates.iterations, accepted)
@@ -55,9 +60,9 @@ def reasons(estimates: Estimates) -> np.ndarray:
     """
     bad = estimates.outcome != Outcome.OK
     if estimates.reason is None:
-        return np.where(bad, Reason.NOT_STATED, Reason.NONE).astype(np.int8)
-    stated = np.where(estimates.reason == Reason.NONE, Reason.NOT_STATED, estimates.reason)
-    return np.where(bad, stated, Reason.NONE).astype(np.int8)
+        return np.where(bad, _NOT_STATED, _NONE)
+    reason = np.asarray(estimates.reason).astype(np.int8, copy=False)
+    return np.where(bad, np.where(reason == _NONE, _NOT_STATED, reason), _NONE)
 
 
 def _commonest(reason: np.ndarray) -> np.ndarray:
@@ -77,9 +82,11 @@ def reason_counts(estimates: Estimates) -> dict[str, np.ndarray]:
     i, step = np.nonzero(estimates.outcome != Outcome.OK)
     shape = len(estimates.outcome), len(OUTCOMES), len(REASONS)
     three = i, estimates.outcome[i, step], reasons(estimates)[i, step]
-    code, n = np.unique(np.ravel_multi_index(three, shape), return_counts=True)
+    count = np.bincount(np.ravel_multi_index(three, shape), minlength=math.prod(shape))
+    code = np.flatnonzero(count)
     index, outcome, reason = np.unravel_index(code, shape)
-    return {"replication": index, "outcome": OUTCOMES[outcome], "reason": REASONS[reason], "n": n}
+    names = {"outcome": OUTCOMES[outcome], "reason": REASONS[reason]}
+    return {"replication": index, **names, "n": count[code]}
 
 
 def per_step(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
@@ -118,11 +125,8 @@ def deviations(estimates: Estimates) -> dict[str, np.ndarray]:
 
 
 def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
-    """Columns of the fixes table, each (R, T), for replications that share their true positions:
-    errors and standard deviations in m, iterations, score and anchors_used (float32), outcome and
-    reason (int8) and place (int32).
-
-    Fixes of one true position have one place, numbered from 0 in the order of their first fix.
+    """Columns of the fixes table, each (R, T): errors and standard deviations in m, iterations,
+    score and anchors_used (float32), outcome and reason (int8).
     """
     error, nothing = (
         estimates.position - truth,
@@ -137,7 +141,6 @@ def per_fix(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]:
             for name, value in given.items()
         },
         "outcome": estimates.outcome.astype(np.int8),
-        "place": np.broadcast_to(places(truth[0]), estimates.outcome.shape),
         "reason": reasons(estimates),
         **{name: value.astype(np.float32) for name, value in deviations(estimates).items()},
     }
@@ -171,19 +174,16 @@ def nees(error: Array, covariance: Array) -> Array:
     NaN where an error is NaN or a covariance is nearly singular (smallest eigenvalue below 1e-6 of
     the largest, as in a particle filter with few distinct particles).
     """
-    usable: np.ndarray = np.asarray(
-        np.isfinite(error).all(-1) & np.isfinite(covariance).all((-1, -2))
-    )
-    P = np.where(usable[..., None, None], covariance, np.eye(3))
-    spread = np.linalg.eigvalsh(P)
-    usable &= spread[..., 0] > 1e-6 * spread[..., -1]
-    P = np.where(usable[..., None, None], P, np.eye(3))
-    e = np.where(usable[..., None], error, 0.0)
-    value = (e[..., None, :] @ np.linalg.solve(P, e[..., None]))[..., 0, 0]
-    return np.where(usable, value, np.nan)
+    value = np.full(error.shape[:-1], np.nan)
+    known = np.isfinite(error[..., 2]) & np.isfinite(error[..., 0]) & np.isfinite(error[..., 1])
+    if known.all():
+        flat = quadratic(covariance.reshape(-1, 3, 3), error.reshape(-1, 3), _SINGULAR)
+        return flat.reshape(value.shape)
+    value[known] = quadratic(covariance[known], error[known], _SINGULAR)
+    return value
 
 
 def _mean(value: Array, accepted: np.ndarray) -> Array:
-    count = accepted.sum(axis=1)
+    count = np.count_nonzero(accepted, axis=1)
     total = np.where(accepted, value, 0.0).sum(axis=1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)

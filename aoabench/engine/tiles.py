@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from enum import IntEnum
 from typing import cast
 
 import numpy as np
@@ -165,14 +166,20 @@ def checked(estimates: Estimates, shape: tuple[int, ...], name: str) -> Estimate
             raise UserError(
                 f"{name}: Estimates.{field} must have the shape {expected}, not {np.shape(value)}"
             )
-    if not np.isin(estimates.outcome, list(Outcome)).all():
+    if not _are(estimates.outcome, Outcome):
         raise UserError(f"{name}: Estimates.outcome must hold values of Outcome")
-    if estimates.reason is not None and not np.isin(estimates.reason, list(Reason)).all():
+    if estimates.reason is not None and not _are(estimates.reason, Reason):
         raise UserError(f"{name}: Estimates.reason must hold values of Reason")
-    given = (estimates.outcome != Outcome.FAILED) & (estimates.outcome != Outcome.REJECTED)
-    lost = given & ~np.isfinite(estimates.position[..., :2]).all(-1)
-    return replace(
-        estimates,
-        outcome=np.where(lost, Outcome.FAILED, estimates.outcome).astype(np.int8),
-        reason=np.where(lost, Reason.NOT_A_NUMBER, reasons(estimates)).astype(np.int8),
-    )
+    outcome, reason = np.asarray(estimates.outcome).astype(np.int8), reasons(estimates)
+    x, y = (estimates.position[..., i] for i in range(2))
+    given = (outcome != Outcome.FAILED) & (outcome != Outcome.REJECTED)
+    lost = given & ~(np.isfinite(x) & np.isfinite(y))
+    outcome[lost], reason[lost] = Outcome.FAILED, Reason.NOT_A_NUMBER
+    return replace(estimates, outcome=outcome, reason=reason)
+
+
+def _are(values: np.ndarray, kind: type[IntEnum]) -> bool:
+    """Whether all values are among those of `kind`, which start at 0 without a gap."""
+    if np.asarray(values).dtype.kind != "i":
+        return bool(np.isin(values, list(kind)).all())
+    return values.size == 0 or bool(values.min() >= 0 and values.max() < len(kind))

@@ -15,6 +15,7 @@ from typing import Any
 from aoabench.engine.dask import cluster, compute_remotely, wait_until_seen
 from aoabench.engine.tasks import Loss, Task, numbered
 from aoabench.engine.threads import one_thread
+from aoabench.kernels.loading import together
 from aoabench.store.machine import machine
 
 _WAITING_TASKS = 256  # queued on a cluster, for workers that connect later
@@ -121,8 +122,10 @@ def prepare(tasks: Sequence[Task], progress: bool | str) -> None:
             printed.add(line)
             print(line, file=sys.stderr, flush=True)
 
-    for estimator in {id(e): e for task in tasks for e in task.cell.estimators.values()}.values():
-        estimator.prepare(say)
+    estimators = {id(e): e for task in tasks for e in task.cell.estimators.values()}
+    with together(say):
+        for estimator in estimators.values():
+            estimator.prepare(say)
 
 
 def _start_worker(path: list[str], parent: int) -> None:

@@ -7,12 +7,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
 from aoabench.errors import Unfit
 from aoabench.estimators.rays import is_deviation, judged, measured_reason
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import LIGHT, Array, to_unit
 from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Scenario
@@ -21,7 +22,7 @@ from aoabench.types import Batch, Estimates
 
 
 @dataclass(frozen=True)
-class WeightedCentroid(Estimator):
+class WeightedCentroid(Compiled, Estimator):
     """The mean of the ANs' positions of the target, weighted by the inverse variances of the times.
 
     The covariance follows from the stated deviations of times, angles and ANs' positions; None if
@@ -32,8 +33,13 @@ class WeightedCentroid(Estimator):
         False,
         "whether (12) runs as printed: the array's orientation stays in the measured azimuth [U5]",
     )
-    tile = 8
+    _: KW_ONLY
+    engine: str = engine_param()
+    tile = 32
     by_replication = True
+    heard_only = True
+    kernels = "kernels.centroid"
+    per_step = True
 
     @property
     def needs(self) -> frozenset[str]:
@@ -43,9 +49,18 @@ class WeightedCentroid(Estimator):
         """One position per fix; outcome FAILED if no AN measured a time and both angles."""
         if batch.delay is None or batch.delay_sigma is None:
             raise Unfit(*NEEDS["delay"])
+        compiled = self.compiled(batch.anchors)
+        if compiled is None:
+            return self._estimates(batch, batch.delay, batch.delay_sigma)
+        position, P, used, outcome, reason = compiled.run(batch, self.as_printed)
+        stated = batch.azimuth_sigma is not None and batch.elevation_sigma is not None
+        return Estimates(position, P if stated else None, None, outcome, None, used, reason)
+
+    def _estimates(self, batch: Batch, delay: Array, delay_sigma: Array) -> Estimates:
+        """The kernel's estimates in NumPy."""
         R, T, B = batch.azimuth.shape
-        measured = (batch.azimuth, batch.elevation, batch.delay)
-        sigmas = (batch.azimuth_sigma, batch.elevation_sigma, batch.delay_sigma)
+        measured = (batch.azimuth, batch.elevation, delay)
+        sigmas = (batch.azimuth_sigma, batch.elevation_sigma, delay_sigma)
         usable = np.isfinite(batch.azimuth)
         for value, sigma in zip(measured, sigmas):
             usable &= np.isfinite(value) & is_deviation(sigma)
@@ -58,10 +73,10 @@ class WeightedCentroid(Estimator):
         if self.as_printed:  # the orientation is applied to the azimuth and to the unit vector
             azimuth = azimuth + np.arctan2(rotation[:, 0, 1], rotation[:, 0, 0])
         elevation = batch.elevation[r, k, b]
-        distance = LIGHT * batch.delay[r, k, b]
+        distance = LIGHT * delay[r, k, b]
         local = distance[:, None] * to_unit(azimuth, elevation)
         along = (local[:, None, :] @ rotation)[:, 0]
-        w = 1.0 / np.square(batch.delay_sigma[r, k, b])
+        w = 1.0 / np.square(delay_sigma[r, k, b])
         fix = r * T + k
         total = np.asarray(np.bincount(fix, w, R * T), dtype=float)
         sums = [np.bincount(fix, w * x, R * T) for x in (s + along).T]
@@ -72,7 +87,7 @@ class WeightedCentroid(Estimator):
         outcome, reason = judged(found, back.reshape(R, T), measured_reason(usable, 1))
         P = None
         if batch.azimuth_sigma is not None and batch.elevation_sigma is not None:
-            stated = batch.delay_sigma, batch.azimuth_sigma, batch.elevation_sigma
+            stated = delay_sigma, batch.azimuth_sigma, batch.elevation_sigma
             given = tuple(x[r, k, b] for x in stated)
             axes = _axes((distance, azimuth, elevation), given, rotation)
             own = batch.anchors.position_sigma

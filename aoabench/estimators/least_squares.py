@@ -16,15 +16,17 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from aoabench.estimators.packed import calls, padded, padded_anchors
 from aoabench.estimators.rays import (
     apart,
     behind,
     judged,
     measured_reason,
+    occupied,
     off_the_poles,
     rays,
     residual_variance,
@@ -57,6 +59,8 @@ class LeastSquares(Compiled, Estimator):
     engine: str = engine_param()
     tile = 1
     by_replication = True
+    heard_only = True
+    per_step = True
     kernels = KERNELS
 
     @property
@@ -70,7 +74,7 @@ class LeastSquares(Compiled, Estimator):
         The covariance follows from the stated variances of the angles, or from one variance that
         the residuals give.
         """
-        compiled = self.compiled(batch.anchors)
+        compiled, batch = self.compiled(batch.anchors), occupied(batch)
         turned, at_pole = off_the_poles(batch)
         if self.rows == "printed":
             turned, at_pole = batch, np.zeros_like(at_pole)
@@ -104,20 +108,15 @@ def by_kernel(
     x, P = np.empty((R, T, 3)), np.empty((R, T, 3, 3))
     outcome, reason = np.empty((2, R, T), dtype=np.int8)
     count, used = np.empty((2, R, T))
-    phi, theta, wa, we = (padded(a, compiled.LANES) for a in measured(batch))
+    angles = tuple(padded(a, compiled.LANES) for a in measured(batch))
     options = (*variant, ROWS.index(rows), stated(batch), tolerance, updates)
-    position, rotation = batch.anchors.frames
-    centre = position.mean(axis=1, keepdims=True)  # (R|1, 1, 3)
-    # padded with the last anchor: an anchor of zeros would have angles of NaN
-    s = padded(np.swapaxes(position - centre, 1, 2), compiled.LANES, "edge")
-    rotation = padded(np.moveaxis(rotation, 1, -1), compiled.LANES, "edge")
-    for i in range(R):
-        j, k = min(i, len(s) - 1), min(i, len(rotation) - 1)
-        given = phi[i], theta[i], wa[i], we[i], s[j], rotation[k]
-        into = x[i], P[i], outcome[i], reason[i], count[i], used[i]
-        compiled.gauss_newton(*options, *given, *into)
+    position, rotation = batch.anchors.position, batch.anchors.rotation
+    centre = position.mean(axis=2, keepdims=True)  # (R|1, T|1, 1, 3)
+    anchors = padded_anchors(position - centre, rotation, compiled.LANES)
+    for one in calls(angles, anchors, (x, P, outcome, reason, count, used)):
+        compiled.gauss_newton(*options, *one)
     iterations = count if updates else None
-    return Estimates(x + centre, P, iterations, outcome, None, used, reason)
+    return Estimates(x + centre[:, :, 0], P, iterations, outcome, None, used, reason)
 
 
 def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
@@ -139,16 +138,6 @@ def measured(batch: Batch) -> tuple[Array, Array, Array, Array]:
 def stated(batch: Batch) -> bool:
     """Whether the measurements state the deviations of both angles."""
     return batch.azimuth_sigma is not None and batch.elevation_sigma is not None
-
-
-def padded(a: Array, lanes: int, by: Literal["constant", "edge"] = "constant") -> Array:
-    """The array with its last axis padded to a multiple of `lanes`, by zeros or by repeating the
-    last element.
-    """
-    missing = -a.shape[-1] % lanes
-    return np.ascontiguousarray(
-        np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, missing)], by) if missing else a
-    )
 
 
 def planes(batch: Batch, rows: str = "invariant") -> Estimates:

@@ -14,10 +14,12 @@ dimensions.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 
+from aoabench.estimators.packed import calls, corners, measured_rays, padded_anchors
 from aoabench.estimators.parameters import clip_param
 from aoabench.estimators.plane import clipped
 from aoabench.estimators.rays import (
@@ -27,15 +29,19 @@ from aoabench.estimators.rays import (
     behind,
     judged,
     measured_reason,
+    occupied,
     rays,
     residual_variance,
 )
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import inverse, solve
 from aoabench.params import param
 from aoabench.roles import Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates
+
+KERNELS = "kernels.lines"
 
 
 class Nearest(NamedTuple):
@@ -119,15 +125,19 @@ def _sum(r: Rays, weight: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class LineLeastSquares(Estimator):
+class LineLeastSquares(Compiled, Estimator):
     """The nearest point to all lines.
 
     The score is the root mean square distance in m from the lines.
     """
 
     clip: bool = clip_param()
+    engine: str = engine_param()
     tile = 8
     by_replication = True
+    heard_only = True
+    per_step = True
+    kernels = KERNELS
 
     @property
     def needs(self) -> frozenset[str]:
@@ -137,11 +147,14 @@ class LineLeastSquares(Estimator):
         """One position per fix; outcome FAILED if fewer than two anchors measured, if all of them
         stand in one place or if all lines are parallel; DIVERGED behind an anchor.
         """
+        compiled, batch = self.compiled(batch.anchors), occupied(batch)
+        if compiled is not None:
+            return _by_kernel(compiled, batch, corners(scenario, self.clip), np.inf)
         return _estimates(batch, rays(batch), scenario, self.clip)
 
 
 @dataclass(frozen=True)
-class AnchorDiscarding(Estimator):
+class AnchorDiscarding(Compiled, Estimator):
     """Least squares that discards, one by one, the anchor whose line is furthest from the point.
 
     It stops when the root mean square distance is at most `threshold_m` or two anchors are left.
@@ -152,14 +165,22 @@ class AnchorDiscarding(Estimator):
         0.3, "root mean square distance up to which no anchor is discarded", unit="m", least=0
     )
     clip: bool = clip_param()
+    engine: str = engine_param()
     tile = 8
     by_replication = True
+    heard_only = True
+    per_step = True
+    kernels = KERNELS
 
     @property
     def needs(self) -> frozenset[str]:
         return frozenset({"several_anchors"})
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
+        compiled, batch = self.compiled(batch.anchors), occupied(batch)
+        if compiled is not None:
+            bounds = corners(scenario, self.clip)
+            return _by_kernel(compiled, batch, bounds, self.threshold_m)
         r, s = rays(batch), batch.anchors.position
         used = r.used
         for _ in range(used.shape[-1] - 2):
@@ -172,6 +193,20 @@ class AnchorDiscarding(Estimator):
             used &= ~(worst & bad[..., None])
             r = r.of(used)
         return _estimates(batch, r, scenario, self.clip)
+
+
+def _by_kernel(compiled: ModuleType, batch: Batch, bounds: Array, threshold_m: float) -> Estimates:
+    """Estimates of one tile; anchors are discarded down to the threshold."""
+    R, T, B = batch.azimuth.shape
+    x, P = np.empty((R, T, 3)), np.empty((R, T, 3, 3))
+    outcome, reason = np.empty((2, R, T), dtype=np.int8)
+    score, used = np.empty((2, R, T))
+    stated, angles = measured_rays(batch, compiled.LANES)
+    known = batch.anchors
+    anchors = padded_anchors(known.position, known.rotation, compiled.LANES)
+    for one in calls(angles, anchors, (x, P, outcome, reason, score, used)):
+        compiled.nearest_points(threshold_m, B, stated, bounds, *one)
+    return Estimates(x, P, None, outcome, score, used, reason)
 
 
 def _estimates(batch: Batch, r: Rays, scenario: Scenario, clip: bool) -> Estimates:

@@ -41,6 +41,7 @@ from aoabench.estimators.rays import (
     FAR,
     behind,
     extent,
+    occupied,
     off_the_poles,
     rays,
     residual_variance,
@@ -80,6 +81,8 @@ class GaussNewton(Compiled, Estimator):
     engine: str = engine_param()
     tile = 1
     by_replication = True
+    heard_only = True
+    per_step = True
     kernels = KERNELS
 
     @property
@@ -92,7 +95,7 @@ class GaussNewton(Compiled, Estimator):
         The covariance is the inverse Fisher information at the stated variances, or at one variance
         that the residuals give; that of a start is the start's.
         """
-        compiled = self.compiled(batch.anchors)
+        compiled, batch = self.compiled(batch.anchors), occupied(batch)
         if compiled is None:
             return self.in_numpy(off_the_poles(batch)[0])
         printed = 0 if self.as_printed is None else 1 + PRINTED.index(self.as_printed)

@@ -104,6 +104,29 @@ def off_the_poles(batch: Batch) -> tuple[Batch, np.ndarray]:
     return found, np.asarray(at_pole.any(axis=-1))
 
 
+def occupied(batch: Batch) -> Batch:
+    """The batch with the anchor of the step's first occupied place at each empty place, so that
+    empty places change neither the anchors' extent nor an average by much.
+    """
+    if batch.anchor_id is None or (batch.anchor_id >= 0).all():
+        return batch
+    there = batch.anchor_id >= 0
+    first = there.argmax(axis=2)[..., None, None]
+    position, rotation = batch.anchors.position, batch.anchors.rotation
+    return replace(
+        batch,
+        anchors=replace(
+            batch.anchors,
+            position=np.where(there[..., None], position, np.take_along_axis(position, first, 2)),
+            rotation=np.where(
+                there[..., None, None],
+                rotation,
+                np.take_along_axis(rotation, first[..., None], 2),
+            ),
+        ),
+    )
+
+
 def apart(position: Array, used: np.ndarray) -> np.ndarray:
     """Mask (R, T) of the fixes whose anchors, used (R, T, B) at position (R|1, T|1, B, k) m, stand
     in more than one place.

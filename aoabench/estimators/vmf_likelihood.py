@@ -13,12 +13,12 @@ a known height.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from aoabench.errors import Unfit
 from aoabench.estimators.lines import nearest_point
+from aoabench.estimators.packed import calls, corners, measured_rays, padded_anchors
 from aoabench.estimators.parameters import clip_param, tolerance_param, updates_param
 from aoabench.estimators.plane import clipped, on_plane, plane_of
 from aoabench.estimators.rays import (
@@ -29,11 +29,14 @@ from aoabench.estimators.rays import (
     behind,
     extent,
     measured_reason,
+    occupied,
     rays,
     residual_variance,
 )
+from aoabench.estimators.vmf_descent import Minimum, minimise
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
-from aoabench.maths.linalg import EPS, inverse, solve
+from aoabench.maths.linalg import inverse
 from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 from aoabench.streams import Streams
@@ -43,18 +46,8 @@ FREE = "free"
 HORIZON = np.deg2rad(1.0)  # rays of a start look at least this far towards the plane
 
 
-class Minimum(NamedTuple):
-    """Result of the iterations: position (N, 3) m, outcome, updates, cost and reason (N,)."""
-
-    position: Array
-    outcome: np.ndarray
-    updates: Array
-    cost: Array
-    reason: np.ndarray
-
-
 @dataclass(frozen=True)
-class VmfLikelihood(Estimator):
+class VmfLikelihood(Compiled, Estimator):
     """Maximum likelihood of von Mises-Fisher directions.
 
     Each kappa is 1 / sigma^2 of the azimuth's stated deviation; without stated deviations all kappa
@@ -75,8 +68,12 @@ class VmfLikelihood(Estimator):
     tolerance_m: float = tolerance_param(1e-4)
     updates: int = updates_param(100)
     clip: bool = clip_param()
+    engine: str = engine_param()
     tile = 8
     by_replication = True
+    heard_only = True
+    per_step = True
+    kernels = "kernels.vmf"
 
     @property
     def needs(self) -> frozenset[str]:
@@ -94,8 +91,25 @@ class VmfLikelihood(Estimator):
         return plane_of(self.height_m, scenario)  # type: ignore[arg-type]
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        height, s = self._height(scenario), batch.anchors.position
-        r = rays(batch)
+        compiled, batch = self.compiled(batch.anchors), occupied(batch)
+        height = self._height(scenario)
+        if compiled is None:
+            return self.in_numpy(batch, scenario, height)
+        R, T, B = batch.azimuth.shape
+        x, P = np.empty((R, T, 3)), np.empty((R, T, 3, 3))
+        outcome, reason = np.empty((2, R, T), dtype=np.int8)
+        score, used, count = np.empty((3, R, T))
+        stated, angles = measured_rays(batch, compiled.LANES)
+        z, known = np.nan if height is None else height, batch.anchors
+        options = self.tolerance_m, self.updates, B, stated, z, self.clip, corners(scenario)
+        anchors = padded_anchors(known.position, known.rotation, compiled.LANES)
+        for one in calls(angles, anchors, (x, P, outcome, reason, score, used, count)):
+            compiled.vmf_minima(*options, *one)
+        return Estimates(x, P, count, outcome, score, used, reason)
+
+    def in_numpy(self, batch: Batch, scenario: Scenario, height: float | None) -> Estimates:
+        """The estimates of a tile in NumPy."""
+        r, s = rays(batch), batch.anchors.position
         r = r.of(r.line)  # an azimuth alone is no direction
         stated = batch.azimuth_sigma
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -110,7 +124,8 @@ class VmfLikelihood(Estimator):
         sites = np.broadcast_to(s, r.ahead.shape).reshape(every)
         flat = r.ahead.reshape(every), w.reshape(every[:2]), sites
         far = np.broadcast_to(_reach(s, height), shape[:2]).ravel()
-        found = self.minimise(start.reshape(-1, 3), *flat, far, free=height is None)
+        options = self.tolerance_m, self.updates
+        found = minimise(start.reshape(-1, 3), *flat, far, height is None, options)
         return self._estimates(batch, scenario, r, found, w, height)
 
     def _on_plane(
@@ -190,93 +205,6 @@ class VmfLikelihood(Estimator):
             P[..., 2, :] = P[..., :, 2] = np.nan
         return P
 
-    def minimise(self, p: Array, d: Array, w: Array, s: Array, far: Array, free: bool) -> Minimum:
-        """Minima from starts p (N, 3) m, directions d, weights w and anchors s (N, B, ...); z is
-        fixed unless `free`.
-
-        `far` (N,) m is the distance from the anchors' centre beyond which a fix is DIVERGED. A
-        minimum behind an anchor may be a saddle or a maximum of the likelihood; the iteration is
-        then repeated from the best point on the rays, and the smaller cost counts.
-        """
-        found = self._descend(p, d, w, s, far, free)
-        back = behind(d[:, None], s[:, None], found.position[:, None])[:, 0]
-        again = np.flatnonzero(back & (found.outcome != Outcome.FAILED))
-        if len(again):
-            part = d[again], w[again], s[again]
-            start = _in_front(found.position[again], *part, far[again] / FAR, free)
-            second = self._descend(start, *part, far[again], free)
-            better = second.cost < found.cost[again]
-            for kept, new in zip(found, second):
-                kept[again[better]] = new[better]
-        return found
-
-    def _descend(self, p: Array, d: Array, w: Array, s: Array, far: Array, free: bool) -> Minimum:
-        """Levenberg-Marquardt steps from starts p (N, 3) m."""
-        p, damping, count = p.copy(), np.full(len(p), 1e-3), np.zeros(len(p))
-        started: np.ndarray = np.asarray(np.isfinite(p).all(axis=-1))
-        outcome = np.where(started, Outcome.OSCILLATED, Outcome.FAILED).astype(np.int8)
-        reason = np.where(started, Reason.NO_CONVERGENCE, Reason.UNDETERMINED).astype(np.int8)
-        cost = np.where(outcome == Outcome.FAILED, np.nan, _expected(p, d, w, s)[2])
-        centre = s.mean(axis=1)
-        left = np.flatnonzero(started)
-        for _ in range(self.updates):
-            if not len(left):
-                break
-            A, g = _normal_equations(p[left], d[left], w[left], s[left], free)
-            damped = A.copy()
-            damped[:, range(3), range(3)] *= 1.0 + damping[left, None]
-            step = solve(damped, g)
-            tried = p[left] + step
-            new = _expected(tried, d[left], w[left], s[left])[2]
-            count[left] += 1
-            with np.errstate(invalid="ignore"):
-                better = new <= cost[left]
-                length = np.linalg.norm(step, axis=-1)
-                lost = ~(np.linalg.norm(tried - centre[left], axis=-1) <= far[left])
-            p[left[better]], cost[left[better]] = tried[better], new[better]
-            damping[left] = np.clip(damping[left] * np.where(better, 0.1, 10.0), 1e-12, 1e12)
-            singular = np.isnan(length)
-            outcome[left[lost]], reason[left[lost]] = Outcome.DIVERGED, Reason.TOO_FAR
-            reason[left[singular]] = Reason.NO_DESCENT
-            converged = ~lost & (length < self.tolerance_m)
-            near = np.flatnonzero(converged)  # damping alone makes a step short, too
-            full = solve(A[near], g[near])
-            gain = (full * g[near]).sum(axis=-1)
-            rounding = 16 * EPS * np.sqrt(2 * cost[left[near]] * w[left[near]].sum(axis=-1))
-            short = np.linalg.norm(full, axis=-1) < self.tolerance_m
-            converged[near] = short | (gain <= rounding)
-            outcome[left[converged]], reason[left[converged]] = Outcome.OK, Reason.NONE
-            left = left[~lost & ~converged]
-        return Minimum(p, outcome, count, cost, reason)
-
-
-def _normal_equations(p: Array, d: Array, w: Array, s: Array, free: bool) -> tuple[Array, Array]:
-    """A (N, 3, 3) and g (N, 3) of a Gauss-Newton step from p (N, 3) m; z is fixed unless `free`."""
-    u, r, _ = _expected(p, d, w, s)
-    J = w / r
-    g = (J[..., None] * (d - u * (u * d).sum(axis=-1)[..., None])).sum(axis=1)
-    J = (J / r)[..., None, None]
-    A = (J * (np.eye(3) - u[..., :, None] * u[..., None, :])).sum(axis=1)
-    if not free:
-        A[:, 2, :2] = A[:, :2, 2] = g[:, 2] = 0.0
-        A[:, 2, 2] = A[:, 0, 0] + A[:, 1, 1]
-    return A, g
-
-
-def _in_front(p: Array, d: Array, w: Array, s: Array, length: Array, free: bool) -> Array:
-    """The points (N, 3) m of least cost among points on the rays, at multiples of `length` (N,) m
-    from the anchors, and p (N, 3) m itself.
-    """
-    best, least = p.copy(), _expected(p, d, w, s)[2]
-    for multiple in (0.25, 1.0, 4.0):
-        for j in range(d.shape[1]):
-            tried = s[:, j] + multiple * length[:, None] * d[:, j]
-            if not free:
-                tried[:, 2] = p[:, 2]
-            cost = np.where(w[:, j] > 0, _expected(tried, d, w, s)[2], np.inf)
-            best[cost < least], least = tried[cost < least], np.minimum(cost, least)
-    return best
-
 
 def _reach(s: Array, height: float | None) -> Array:
     """Distance (R|1, T|1) m from the centre of the anchors (R|1, T|1, B, 3) m beyond which a fix is
@@ -286,13 +214,3 @@ def _reach(s: Array, height: float | None) -> Array:
     if height is not None:
         size = np.maximum(size, np.abs(s[..., 2] - height).max(axis=-1))
     return FAR * size
-
-
-def _expected(p: Array, d: Array, w: Array, s: Array) -> tuple[Array, Array, Array]:
-    """Directions u (N, B, 3) and distances r (N, B) m of points (N, 3) from the anchors, and the
-    cost (N,).
-    """
-    u = p[:, None] - s
-    r = np.maximum(np.sqrt((u**2).sum(axis=-1)), 1e-9)
-    u = u / r[..., None]
-    return u, r, 0.5 * (w * ((d - u) ** 2).sum(axis=-1)).sum(axis=-1)

@@ -33,11 +33,13 @@ import numpy as np
 
 from aoabench.errors import Unfit
 from aoabench.filters.divergence import Filtered, InnovationBound
+from aoabench.filters.heard import heard_alone
 from aoabench.filters.roots import EPS, absorb, covariance, near, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.limits import ROUNDED
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import LIGHT, Array, wrap
+from aoabench.maths.places import at_anchors
 from aoabench.models.components import LEAST_VARIANCE
 from aoabench.params import param
 from aoabench.roles import NEEDS, Belief, Estimator, Scenario, believed
@@ -69,9 +71,11 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
     )
     _: KW_ONLY
     engine: str = engine_param()
-    tile = 8
+    tile = 32
     by_replication = True
+    heard_only = True
     kernels = KERNELS
+    per_step = True
 
     @property
     def needs(self) -> frozenset[str]:
@@ -87,110 +91,95 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
             raise Unfit(*NEEDS["delay"])
         if batch.azimuth_sigma is None or batch.elevation_sigma is None:
             raise Unfit(*NEEDS["stated_sigma"])
-        y, q, heard = self.measured(batch)
-        filtered = self.filtered(batch.anchors, belief, y, q, heard)
-        return self.outcomes(filtered, y.reshape(*y.shape[:2], -1), batch.anchors, belief)
+        batch = heard_alone(batch)
+        return self.outcomes(self.filtered(batch, belief), None, batch.layout, belief)
 
-    def filtered(
-        self, anchors: Anchors, belief: Belief, y: Array, q: Array, heard: np.ndarray
-    ) -> Filtered:
-        """The recursion over the results of `measured`, in the kernel if there is one."""
-        compiled = self.compiled(anchors)
-        recursion = self._recursion if compiled is None else compiled.run
-        flags = tuple(name in self.as_printed for name in PRINTED)
+    def filtered(self, batch: Batch, belief: Belief) -> Filtered:
+        """The recursion, in the kernel if there is one."""
+        compiled = self.compiled(batch.anchors)
         belief = belief._replace(covariance=prior_root(belief.covariance))
-        return Filtered(*recursion(*belief, y, q, heard, anchors, _variances(anchors), flags))
+        if compiled is None:
+            return self._recursion(belief, *self.measured(batch), batch.anchors)
+        flags = tuple(name in self.as_printed for name in PRINTED)
+        return Filtered(*compiled.run(belief, batch, self.toa, flags))
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by access node and component; NaN where the
         access node was not heard.
         """
-        y, q, heard = self.measured(batch)
-        flags = tuple(name in self.as_printed for name in PRINTED)
-        anchors, seen = batch.anchors, list[Array]()
-        belief = believed(batch, scenario)
+        belief, seen = believed(batch, scenario), list[Array]()
         belief = belief._replace(covariance=prior_root(belief.covariance))
-        given = (*belief, y, q, heard, anchors, _variances(anchors), flags)
-        self._recursion(*given, seen)
-        found = np.full((*batch.azimuth.shape, 3), np.nan)
-        own = heard >= 0
-        found[:, np.nonzero(own)[0], heard[own]] = np.stack(seen, axis=1)[:, own]
+        batch = heard_alone(batch)
+        y, q = self.measured(batch)
+        self._recursion(belief, y, q, batch.anchors, seen)
+        values, count = np.stack(seen, axis=1), batch.layout.count
+        if batch.known is not None and batch.anchor_id is not None:
+            each = [at_anchors(values[..., i], batch.anchor_id, count) for i in range(3)]
+            values = np.stack(each, axis=-1)
         names = ("range_m", "azimuth_rad", "elevation_rad")
-        return innovations(found.reshape(*found.shape[:2], -1), found.shape[2], names)
+        return innovations(values.reshape(*values.shape[:2], -1), count, names)
 
-    def measured(self, batch: Batch) -> tuple[Array, Array, np.ndarray]:
-        """Return measurements, their variances, and the numbers (T, K) of the ANs heard per step.
-
-        Measurements are (c delay, azimuth, elevation) (R, T, K, 3) in m and rad, NaN = not
-        measured. ANs that no replication heard are left out; -1 pads the numbers.
+    def measured(self, batch: Batch) -> tuple[Array, Array]:
+        """Measurements (c delay, azimuth, elevation) (R, T, B, 3) in m and rad, NaN = not measured,
+        and their variances.
         """
-        each = np.isfinite(batch.azimuth) | np.isfinite(batch.elevation)
-        if self.toa and batch.delay is not None:
-            each = each | np.isfinite(batch.delay)
-        any_heard: np.ndarray = np.any(each, axis=0)
-        step, an = np.nonzero(any_heard)
-        heard = np.full((len(any_heard), max(int(any_heard.sum(axis=1).max(initial=0)), 1)), -1)
-        heard[step, (np.cumsum(any_heard, axis=1) - 1)[step, an]] = an
-        y = np.full((len(batch.azimuth), *heard.shape, 3), np.nan)
-        q = np.ones_like(y)
-        own = heard >= 0
-        of = (slice(None), np.nonzero(own)[0], heard[own])
         pairs: list[Any] = [
             (batch.delay, batch.delay_sigma, LIGHT) if self.toa else (None, None, 1.0),
             (batch.azimuth, batch.azimuth_sigma, 1.0),
             (batch.elevation, batch.elevation_sigma, 1.0),
         ]
+        y = np.full((*batch.azimuth.shape, 3), np.nan)
+        q = np.ones_like(y)
         for i, (value, sigma, scale) in enumerate(pairs):
             if value is not None and sigma is not None:
                 with np.errstate(over="ignore"):  # not measured
-                    variance = (scale * sigma[of]) ** 2
+                    variance = (scale * sigma) ** 2
                 usable = np.isfinite(variance) & (variance > 0)
-                y[:, own, i] = np.where(usable, scale * value[of], np.nan)
-                q[:, own, i] = np.maximum(np.where(usable, variance, 1.0), LEAST_VARIANCE)
-        return y, q, heard
+                y[..., i] = np.where(usable, scale * value, np.nan)
+                q[..., i] = np.maximum(np.where(usable, variance, 1.0), LEAST_VARIANCE)
+        return y, q
 
-    def _recursion(  # noqa: PLR0913 - as the kernel takes them
+    def _recursion(
         self,
-        mean: Array,
-        root: Array,
-        F: Array,
-        Q: Array,
+        belief: Belief,
         y: Array,
         q: Array,
-        heard: np.ndarray,
         anchors: Anchors,
-        C: Array,
-        flags: tuple[bool, ...],
         seen: list[Array] | None = None,
-    ) -> tuple[Array, Array, Array]:
-        """The kernel's recursion in NumPy: positions (R, T, 3) m, covariances (R, T, 3, 3) m^2 and
-        normalised innovations squared (R, T); innovations (R, K, 3) are appended to `seen`.
+    ) -> Filtered:
+        """The kernel's recursion in NumPy, over the results of `measured`; the covariance of
+        `belief` is a square root, and innovations (R, K, 3) are appended to `seen`.
         """
+        mean, root, F, Q = belief
+        flags = tuple(name in self.as_printed for name in PRINTED)
         x, B = np.asarray(mean), np.broadcast_to(root, (*mean.shape, mean.shape[1]))
         means, covariances, nis = [], [], []
         with np.errstate(
             all="ignore"
         ):  # a replication that overflows becomes NaN and is counted as failed
-            for k, of in enumerate(heard):
+            for k in range(y.shape[1]):
                 x, B = x @ F.T, predicted(B, F, Q)
-                those = anchors.at(k).those(of)
+                those = anchors.at(k)
                 if seen is not None:
                     v = y[:, k] - expected(x[:, :3], those, flags[0])[0]
                     v[..., 1] = wrap(v[..., 1])
                     seen.append(v)
                 used = np.where(near(x, B, those)[..., None], np.nan, y[:, k])
-                A, g, squares = information(x[:, :3], used, q[:, k], those, C[:, of], flags)
+                A, g, squares = information(
+                    x[:, :3], used, q[:, k], those, _variances(those), flags
+                )
                 c, u = columns(A, g)
                 f = np.swapaxes(B[:, :3], -1, -2) @ c
                 x, B, squared = absorb(x, B, f, u, np.ones_like(u))
                 means.append(x[:, :3])
                 covariances.append(covariance(B[:, :3]))
                 nis.append((1 - ROUNDED) * (squares - (u * u).sum(-1)) + squared)
-        return np.stack(means, 1), np.stack(covariances, 1), np.stack(nis, 1)
+        P, squared = np.stack(covariances, axis=1), np.stack(nis, axis=1)
+        return Filtered(np.stack(means, axis=1), P, squared, np.isfinite(y).sum(axis=(2, 3)))
 
 
 def _variances(anchors: Anchors) -> Array:
-    """Variances (R|1, B, 3) m^2 of the ANs' positions as stated; 0 where they are exact."""
+    """Variances (R|1, B, 3) m^2 of the ANs' positions at one step; 0 where they are exact."""
     sigma = anchors.position_sigma
     return np.zeros((1, anchors.count, 3)) if sigma is None else np.square(sigma[:, 0])
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from aoabench.roles import Measurement
 
 KINDS = ("unit_vector", "azel", "azel_adaptive")  # as numbered in the kernels' files
+COMPONENTS = (3, 2, 2)  # of one anchor
 
 
 def kind_of(measurement: Measurement, engine: str = "auto") -> int | None:

@@ -16,8 +16,8 @@ from scipy import special
 
 from aoabench.maths.geometry import Array
 from aoabench.params import CheckedParams, param
-from aoabench.roles import Belief
-from aoabench.types import Anchors, Estimates, Outcome, Reason
+from aoabench.roles import Belief, Scenario
+from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
 
 SINGULAR = 1e-6  # least share of a variance that others leave open; single precision has 1e-7
 
@@ -66,25 +66,40 @@ class InnovationBound(ExtentBound):
         most=1_000_000,
     )
 
-    def outcomes(self, filtered: Filtered, Y: Array, anchors: Anchors, belief: Belief) -> Estimates:
+    def outcomes(
+        self, filtered: Filtered, Y: Array | None, anchors: Anchors, belief: Belief
+    ) -> Estimates:
         """Return the estimates of a Kalman filter with outcomes and reasons, after measurements Y
-        (R, T, m).
+        (R, T, m); None if `filtered` has the numbers of measured components.
 
         Where several reasons hold, the first of TOO_FAR, COVARIANCE and INNOVATIONS is stated.
         """
         found = self.judged(sound(filtered.position, filtered.covariance), anchors, belief)
-        run = inconsistent(filtered.nis, Y, self.innovation_tail, self.innovation_steps)
+        if not (filtered.nis > _limits(1, self.innovation_tail)[1]).any():
+            return found  # decided faster, without counting components
+        measured = np.isfinite(Y).sum(axis=-1) if Y is not None else filtered.measured
+        assert measured is not None
+        run = inconsistent(filtered.nis, measured, self.innovation_tail, self.innovation_steps)
         return marked(found, run, Reason.INNOVATIONS)
 
 
 class Filtered(NamedTuple):
-    """A Kalman filter's positions (R, T, 3) m, covariances (R, T, 3, 3) m^2 and normalised
-    innovations squared (R, T), without what rounding may add to the latter.
+    """A Kalman filter's positions (R, T, 3) m, covariances (R, T, 3, 3) m^2, normalised innovations
+    squared (R, T), without what rounding may add to them, and numbers of measured components
+    (R, T).
     """
 
     position: Array
     covariance: Array
     nis: Array
+    measured: np.ndarray | None = None
+
+
+def layout(batch: Batch, scenario: Scenario) -> Anchors:
+    """The anchors whose extent bounds the positions: all of the scenario if the batch has only
+    those heard at each step, else those of the batch.
+    """
+    return batch.anchors if batch.anchor_id is None else scenario.true_anchors
 
 
 def sound(position: Array, covariance: Array) -> Estimates:
@@ -136,24 +151,17 @@ def too_far(position: Array, anchors: Anchors, belief: Belief, factor: float) ->
         return _length(position - centre) > bound
 
 
-def inconsistent(nis: Array, Y: Array, tail: float, steps: int) -> np.ndarray:
+def inconsistent(nis: Array, measured: np.ndarray, tail: float, steps: int) -> np.ndarray:
     """Whether a fix (R, T) ends a run of at least `steps` measured steps whose normalised
     innovations squared `nis` (R, T) exceed the chi-square quantile 1 - `tail`.
 
-    The degrees of freedom are the components of Y (R, T, m) that are measured (not NaN). A step
-    without any neither continues nor ends a run and is not marked.
+    The degrees of freedom are the numbers (R, T) of components that are `measured`. A step without
+    any neither continues nor ends a run and is not marked.
     """
-    limit = _limits(Y.shape[2], tail)
-    if not (nis > limit[0]).any():
-        return np.zeros(nis.shape, dtype=bool)
-    if np.isfinite(Y).all():
-        measured, above = np.True_, nis > limit[-1]
-    else:
-        components = np.isfinite(Y).sum(axis=-1)
-        measured = components > 0
-        above = (nis > limit[components]) & measured
+    limit = _limits(int(measured.max(initial=0)), tail)
+    above = (nis > limit[measured]) & (measured > 0)
     count = np.cumsum(above, axis=1, dtype=np.int32)
-    before = count * (measured & ~above)
+    before = count * ((measured > 0) & ~above)
     return above & (count - np.maximum.accumulate(before, axis=1) >= steps)
 
 

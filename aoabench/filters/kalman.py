@@ -20,12 +20,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from aoabench.filters.compiled import kind_of
-from aoabench.filters.divergence import Filtered, InnovationBound
+from aoabench.filters.compiled import COMPONENTS, kind_of
+from aoabench.filters.divergence import Filtered, InnovationBound, layout
 from aoabench.filters.roots import absorb, covariance, near, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
+from aoabench.models.azel import AzEl
+from aoabench.models.unit_vector import UnitVector
 from aoabench.params import param
 from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
 from aoabench.streams import Streams
@@ -45,8 +47,9 @@ class _Kalman(InnovationBound, Compiled, Filter):
     )
     _: KW_ONLY
     engine: str = engine_param()
-    tile = 128
     by_replication = True
+    heard_only = True
+    per_step = True
     kernels = KERNELS
     finest: ClassVar[float] = 0.0  # the kernel's least variance
 
@@ -61,28 +64,40 @@ class _Kalman(InnovationBound, Compiled, Filter):
         A fix is DIVERGED, and keeps its position, for one of the reasons of `filters.divergence`.
         """
         belief = believed(batch, scenario)
-        with np.errstate(all="ignore"):  # deviations that are 0 or infinite are not measured
-            Y, quality = self.measurement.observe(batch)
-        filtered = self.filtered(batch.anchors, belief, Y, quality)
-        return self.outcomes(filtered, Y, batch.anchors, belief)
+        filtered = self.filtered(batch, belief)
+        return self.outcomes(filtered, None, layout(batch, scenario), belief)
 
-    def filtered(self, anchors: Anchors, belief: Belief, Y: Array, quality: Array) -> Filtered:
-        """The recursion over measurements Y (R, T, m) with nominal variances `quality`, in the
-        kernel if it has the measurement model, else in NumPy.
+    def filtered(self, batch: Batch, belief: Belief) -> Filtered:
+        """The recursion over the measurements, in the kernel if it has the measurement model, else
+        in NumPy.
         """
         belief = belief._replace(covariance=prior_root(belief.covariance))
-        table = self.measurement.variances()
-        too_fine = self.finest > 0 and min(quality.min(), table.min()) < self.finest
-        kind = None if too_fine else self.kind()
-        compiled = None if kind is None else self.compiled(anchors)
-        if kind is None or compiled is None:
-            return self._recursion(anchors, belief, Y, quality)
-        R, T = Y.shape[:2]
+        given = self._given(batch)
+        if given is None:
+            with np.errstate(all="ignore"):  # deviations that are 0 or infinite are not measured
+                return self._recursion(batch.anchors, belief, *self.measurement.observe(batch))
+        kernels, kind, measured = given
+        R, T = batch.azimuth.shape[:2]
         out = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T))
-        arrays = (*belief, Y, quality, *anchors.frames, table)
-        given = [np.ascontiguousarray(a, dtype=float) for a in arrays]
-        self._compiled(compiled, kind, (*given, *out))
-        return Filtered(*out)
+        counts = np.empty((R, T), dtype=np.int64)
+        anchors = batch.anchors.position, batch.anchors.rotation
+        arrays = *belief, *measured, *anchors, self.measurement.variances()
+        read = [np.ascontiguousarray(a, dtype=float) for a in arrays]
+        self._compiled(kernels, kind, batch.azimuth.shape[2], (*read, *out, counts))
+        return Filtered(*out, counts)
+
+    def _given(self, batch: Batch) -> tuple[ModuleType, int, tuple[Array, ...]] | None:
+        """The kernels, the number of the measurement model, and angles and deviations that they
+        take; None if NumPy is used.
+        """
+        kind, h = self.kind(), self.measurement
+        if kind is None or (kernels := self.compiled(batch.anchors)) is None:
+            return None
+        assert isinstance(h, AzEl | UnitVector)
+        deviations = h.deviations(batch)
+        if self.finest > 0 and finest(*deviations, h.variances()) < self.finest:
+            return None
+        return kernels, kind, (batch.azimuth, batch.elevation, *constant(*deviations))
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by component."""
@@ -119,7 +134,8 @@ class _Kalman(InnovationBound, Compiled, Filter):
                 means.append(x[:, :3])
                 covariances.append(covariance(B[:, :3]))
                 nis.append(squared)
-        return Filtered(*(np.stack(each, axis=1) for each in (means, covariances, nis)))
+        position, P, squares = (np.stack(each, axis=1) for each in (means, covariances, nis))
+        return Filtered(position, P, squares, np.isfinite(Y).sum(axis=-1))
 
     def update(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
         """Posterior mean (R, n) and a square root (R, n, k) of its covariance; arguments as for
@@ -140,8 +156,10 @@ class _Kalman(InnovationBound, Compiled, Filter):
         """Number of the measurement model in the kernels; None for computation in NumPy."""
         return None
 
-    def _compiled(self, kernels: ModuleType, kind: int, arrays: Sequence[Array]) -> None:
-        """Fill the last three `arrays`, which `Filtered` describes."""
+    def _compiled(
+        self, kernels: ModuleType, kind: int, anchors: int, arrays: Sequence[np.ndarray]
+    ) -> None:
+        """Fill the last four `arrays`, which `Filtered` describes, from the others."""
         raise NotImplementedError
 
 
@@ -153,10 +171,14 @@ class EKF(_Kalman):
     meaningful derivative and is left out at that step.
     """
 
+    entries = ("ekf",)
+
     def kind(self) -> int | None:
         return kind_of(self.measurement, self.engine) if type(self) is EKF else None
 
-    def _compiled(self, kernels: ModuleType, kind: int, arrays: Sequence[Array]) -> None:
+    def _compiled(
+        self, kernels: ModuleType, kind: int, anchors: int, arrays: Sequence[np.ndarray]
+    ) -> None:
         kernels.ekf(kind, *arrays)
 
     def innovation(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Innovation:
@@ -183,16 +205,29 @@ class UKF(_Kalman):
         "or augmented (the noise is a part of the sigma points)",
         choices=("averaged", "centre", "augmented"),
     )
+    entries = ("ukf",)
     finest: ClassVar[float] = 1e-12  # rad^2; with smaller ones rounding loses other components
 
-    def kind(self) -> int | None:
-        if type(self) is not UKF or self.form == "augmented":
-            return None
-        return kind_of(self.measurement, self.engine)
+    @property
+    def heard_only(self) -> bool:  # type: ignore[override]
+        """False for the augmented form: its sigma points depend on the number of all anchors."""
+        return self.form != "augmented"
 
-    def _compiled(self, kernels: ModuleType, kind: int, arrays: Sequence[Array]) -> None:
-        form = ("averaged", "centre").index(self.form)
-        kernels.ukf(kind, *arrays, float(self.lambda_), form)
+    def kind(self) -> int | None:
+        return kind_of(self.measurement, self.engine) if type(self) is UKF else None
+
+    def _compiled(
+        self, kernels: ModuleType, kind: int, anchors: int, arrays: Sequence[np.ndarray]
+    ) -> None:
+        """The sigma points of the m components' noise deviate in nothing but their own component,
+        by its deviation at the centre: the augmented form is the central one with lambda + m.
+        """
+        spread, form = float(self.lambda_), kernels.CENTRE
+        if self.form == "augmented":
+            spread += anchors * COMPONENTS[kind]
+        elif self.form == "averaged":
+            form = kernels.AVERAGED
+        kernels.ukf(kind, *arrays, spread, form)
 
     def innovation(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Innovation:
         if self.form == "augmented":
@@ -233,6 +268,20 @@ class UKF(_Kalman):
         f = np.sqrt(w)[:, None] * (deviation - mean[:, None])
         v = h.residual(y, images[:, 0] + mean)
         return B, f, v, np.zeros_like(v)  # the noise is in f
+
+
+def constant(*arrays: Array) -> tuple[Array, ...]:
+    """Arrays (R|1, T|1, B), or their first step (1, 1, B) if it is that of all replications and
+    steps in all of them.
+    """
+    first = tuple(each[:1, :1] for each in arrays)
+    return first if all((a == b).all() for a, b in zip(arrays, first)) else arrays
+
+
+def finest(azimuth: Array, elevation: Array, table: Array) -> float:
+    """The least usable variance of deviations (...) rad, and of a table of variances rad^2."""
+    least = [np.min(each, where=each > 0, initial=np.inf) ** 2 for each in (azimuth, elevation)]
+    return float(min(*least, table.min()))
 
 
 def sigma_points(x: Array, L: Array, lambda_: float) -> tuple[Array, Array]:

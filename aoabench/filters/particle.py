@@ -15,8 +15,8 @@ one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import NamedTuple, Protocol
 
@@ -36,6 +36,7 @@ from aoabench.streams import PARTICLES, Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
 
 KERNELS = "kernels.particle"
+_TILE_OF_PARTICLES = 4096  # the normals of so many particles remain in the processor's cache
 
 
 class Normals(Protocol):
@@ -46,8 +47,8 @@ class Normals(Protocol):
 
 
 class Track(NamedTuple):
-    """Input of one replication: the belief with a mean (n,), measured values and their variances
-    (T, m), and the anchors (1, T|1, B, ...).
+    """Input of some replications: the belief with means (R, n), measured values and their
+    variances (R, T, m), and the anchors (R|1, T|1, B, ...).
     """
 
     belief: Belief
@@ -55,10 +56,16 @@ class Track(NamedTuple):
     quality: Array
     anchors: Anchors
 
+    def of(self, i: int) -> Track:
+        """The input of one replication."""
+        belief = self.belief._replace(mean=self.belief.mean[i : i + 1])
+        some = slice(i, i + 1)
+        return Track(belief, self.Y[some], self.quality[some], self.anchors.of(i))
+
 
 class Posterior(NamedTuple):
-    """Result of one replication: means (T, 3) m, covariances (T, 3, 3) m^2, outcomes (T,), and
-    effective numbers of particles (T,).
+    """Result of some replications: means (R, T, 3) m, covariances (R, T, 3, 3) m^2, outcomes (R, T)
+    and effective numbers of particles (R, T).
     """
 
     mean: Array
@@ -67,9 +74,15 @@ class Posterior(NamedTuple):
     effective: Array
 
     @classmethod
-    def empty(cls, T: int) -> Posterior:
-        """An empty result for T steps, to be filled in."""
-        return cls(np.empty((T, 3)), np.empty((T, 3, 3)), np.empty(T, dtype=np.int8), np.empty(T))
+    def empty(cls, *shape: int) -> Posterior:
+        """An empty result for (R, T) fixes, to be filled in."""
+        outcome = np.empty(shape, dtype=np.int8)
+        return cls(np.empty((*shape, 3)), np.empty((*shape, 3, 3)), outcome, np.empty(shape))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Posterior]) -> Posterior:
+        """The results of several sets of replications in one."""
+        return cls(*(np.concatenate(arrays) for arrays in zip(*parts)))
 
 
 @dataclass(frozen=True)
@@ -93,9 +106,17 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         most=1,
     )
     engine: str = engine_param(double="NumPy with the kernel's draws")
-    tile = 1  # one replication at a time: the particles are the batch
     by_replication = True
+    heard_only = True
     kernels = KERNELS
+    entries = ("draw", "lap")
+    per_step = True
+
+    @property
+    def tile(self) -> int:  # type: ignore[override]
+        """One replication at a time, as the particles are the batch; more with few particles."""
+        most = max(min(_TILE_OF_PARTICLES // self.particles, 16), 1)
+        return 1 << (most.bit_length() - 1)
 
     def prepare(self, say: Callable[[str], None]) -> None:
         """Compile or load the kernels, if the measurement model has one; `say` prints a line."""
@@ -112,23 +133,22 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         expected measurement describes a cloud of particles that a curved likelihood bends.
         """
         belief = believed(batch, scenario)
-        each = self._each(batch, belief, streams)
-        found = sound(*(np.stack([one[i] for one in each]) for i in range(2)))
-        informed = np.stack([one.outcome for one in each]) == Outcome.OK
+        posterior = self._posterior(batch, belief, streams)
+        found = sound(posterior.mean, posterior.covariance)
+        informed = posterior.outcome == Outcome.OK
         found = marked(found, ~informed, Reason.NO_LIKELIHOOD)
-        alone = np.stack([one.effective for one in each]) < ONE_PARTICLE
-        judged = self.judged(found, batch.anchors, belief, SINGULAR)
-        return marked(judged, alone, Reason.COVARIANCE)
+        judged = self.judged(found, batch.layout, belief, SINGULAR)
+        return marked(judged, posterior.effective < ONE_PARTICLE, Reason.COVARIANCE)
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Effective numbers of particles `ess` (R, T) and innovations (R, T) at the predicted mean,
         by component.
         """
         belief = believed(batch, scenario)
-        found = self._each(batch, belief, streams)
-        columns = {"ess": np.stack([one.effective for one in found])}
+        found = self._posterior(batch, belief, streams)
+        columns = {"ess": found.effective}
         if len(belief.F) == 3:  # for a larger state the mean of the whole state is not kept
-            h, means = self.measurement, np.stack([one.mean for one in found])
+            h, means = self.measurement, found.mean
             Y, _ = h.observe(batch)
             x = np.concatenate([belief.mean[:, None], means[:, :-1]], axis=1) @ belief.F.T
             expected = [h.predict(x[:, k], batch.anchors.at(k)) for k in range(Y.shape[1])]
@@ -137,23 +157,22 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         return columns
 
     @np.errstate(all="ignore")  # what is not finite is counted as failed
-    def _each(self, batch: Batch, belief: Belief, streams: Streams) -> list[Posterior]:
-        """The posterior of each replication."""
-        Y, quality = self.measurement.observe(batch)
+    def _posterior(self, batch: Batch, belief: Belief, streams: Streams) -> Posterior:
+        """The posteriors of all replications."""
+        track = Track(belief, *self.measurement.observe(batch), batch.anchors)
         kind = kind_of(self.measurement, self.engine) if len(belief.F) == 3 else None
         compiled = None if kind is None else self.compiled(batch.anchors)
-        found = []
-        for i in range(len(Y)):
-            track = Track(
-                belief._replace(mean=belief.mean[i]), Y[i], quality[i], batch.anchors.of(i)
-            )
-            if self.engine == "double":
-                found.append(self._along_the_kernel(track, i, streams))
-            elif kind is None or compiled is None:
-                found.append(self._reference(track, streams.estimator(i, PARTICLES)))
-            else:
-                found.append(self._compiled(compiled, kind, track, i, streams))
-        return found
+        if kind is not None and compiled is not None:
+            return self._compiled(compiled, kind, track, streams)
+        one = self._along_the_kernel if self.engine == "double" else self._in_numpy
+        each = enumerate(streams.replications)
+        return Posterior.joined(
+            [one(track.of(i), replace(streams, replications=(r,))) for i, r in each]
+        )
+
+    def _in_numpy(self, track: Track, streams: Streams) -> Posterior:
+        """One replication with draws of its own."""
+        return self._reference(track, streams.estimator(0, PARTICLES))
 
     def _reference(self, track: Track, rng: Normals, chosen: np.ndarray | None = None) -> Posterior:
         """One replication in NumPy.
@@ -161,11 +180,17 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         `chosen` (T, 2, N): ancestors chosen by the compiled filter and its weights q, -1 at steps
         without resampling; offspring then carry the weights w / q.
         """
-        belief, Y, quality, anchors = track
+        belief, (Y,), (quality,), anchors = track
         T, N, n = len(Y), self.particles, len(belief.F)
-        found = Posterior.empty(T)
+        found = Posterior.empty(1, T)
+        outcome, means, covariances, effective = (
+            found.outcome[0],
+            found.mean[0],
+            found.covariance[0],
+            found.effective[0],
+        )
         root_Q, root_P = np.linalg.cholesky(belief.Q), np.linalg.cholesky(belief.covariance)
-        x = belief.mean + rng.standard_normal((N, n)) @ root_P.T
+        x = belief.mean[0] + rng.standard_normal((N, n)) @ root_P.T
         log_w = np.full(N, -np.log(N))
         for k in range(T):
             x = x @ belief.F.T + rng.standard_normal((N, n)) @ root_Q.T
@@ -173,16 +198,16 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
             loglik = self.measurement.loglik(x[None], here, Y[None, k], quality[None, k])[0]
             offset = rng.random()
             log_w, w, informed = reweigh(log_w, loglik)
-            found.outcome[k] = Outcome.OK if informed else Outcome.DIVERGED
-            found.mean[k] = w @ x[:, :3]
-            found.effective[k] = 1.0 / (w @ w)
-            d = x[:, :3] - found.mean[k]
-            found.covariance[k] = d.T @ (w[:, None] * d)
+            outcome[k] = Outcome.OK if informed else Outcome.DIVERGED
+            means[k] = w @ x[:, :3]
+            effective[k] = 1.0 / (w @ w)
+            d = x[:, :3] - means[k]
+            covariances[k] = d.T @ (w[:, None] * d)
             if chosen is not None:
                 if chosen[k, 0, 0] >= 0:
                     parents = chosen[k, 0].astype(np.intp)
                     x, log_w = x[parents], np.log(w[parents] / chosen[k, 1, parents])
-            elif found.effective[k] < self.resample_below * N:
+            elif effective[k] < self.resample_below * N:
                 x = x[systematic(w, offset)]
                 log_w = np.full(N, -np.log(N))
         return found
@@ -192,40 +217,34 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         compiled: ModuleType,
         kind: int,
         track: Track,
-        i: int,
         streams: Streams,
         chosen: np.ndarray | None = None,
     ) -> Posterior:
-        """The i-th replication by the kernel, computed relative to the prior's mean.
+        """All replications by the kernel, computed relative to the prior's means.
 
-        `chosen` (see `_reference`) is filled in if given.
+        `chosen` (R, T, 2, N), for each replication as in `_reference`, is filled in if given.
         """
         belief, Y, quality, anchors = track
-        T, origin, F = len(Y), belief.mean, belief.F
-        key, replication = streams.philox_key(PARTICLES), streams.replications[i]
-        noise = shared_normals(compiled, key, replication, T + 1, self.particles)
-        out = np.empty((T, 13))
-        compiled.lap(
-            kind,
-            self.particles,
-            noise,
-            replication,
-            *key,
-            F,
-            F @ origin - origin,
-            np.linalg.cholesky(belief.Q),
-            np.linalg.cholesky(belief.covariance),
-            terms(kind, Y, quality, anchors, origin),
-            weights_table(self.measurement),
-            self.resample_below,
-            out,
-            np.empty((0, 2, self.particles), dtype=np.float32) if chosen is None else chosen,
-        )
-        outcome = np.full(T, Outcome.OK, dtype=np.int8)
-        return Posterior(out[:, :3] + origin, out[:, 3:12].reshape(T, 3, 3), outcome, out[:, 12])
+        origins, F, N = belief.mean, belief.F, self.particles
+        R, T = Y.shape[:2]
+        key, out = streams.philox_key(PARTICLES), np.empty((R, T, 13))
+        roots = np.linalg.cholesky(belief.Q), np.linalg.cholesky(belief.covariance)
+        coefficients = terms(kind, Y, quality, anchors, origins)
+        table = weights_table(self.measurement, kind)
+        if chosen is None:
+            chosen = np.empty((R, 0, 2, N), dtype=np.float32)
+        for i, (replication, origin) in enumerate(zip(streams.replications, origins)):
+            noise = shared_normals(compiled, key, replication, T + 1, N, R)
+            compiled.lap(
+                kind, N, noise, replication, *key, F, F @ origin - origin, *roots,
+                coefficients[i], table, self.resample_below, out[i], chosen[i],
+            )  # fmt: skip
+        outcome = np.full((R, T), Outcome.OK, dtype=np.int8)
+        mean, covariance = out[..., :3] + origins[:, None], out[..., 3:12].reshape(R, T, 3, 3)
+        return Posterior(mean, covariance, outcome, out[..., 12])
 
-    def _along_the_kernel(self, track: Track, i: int, streams: Streams) -> Posterior:
-        """The i-th replication in double precision with the kernel's draws and the ancestors that
+    def _along_the_kernel(self, track: Track, streams: Streams) -> Posterior:
+        """One replication in double precision with the kernel's draws and the ancestors that
         the kernel chose.
 
         The kernel chooses ancestors by its weights q in single precision. Each resampled particle
@@ -235,14 +254,14 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         both filters would differ like filters with different seeds. Raises BadValue without kernel.
         """
         kind = kind_of(self.measurement) if len(track.belief.F) == 3 else None
-        compiled = None if kind is None or track.anchors.moving else load(KERNELS)
+        compiled = None if kind is None else load(KERNELS)
         if kind is None or compiled is None:
-            allowed = "auto or numpy: double needs numba and a kernel for the model and the anchors"
+            allowed = "auto or numpy: double needs numba and a kernel for the model"
             raise BadValue("engine", "double", allowed)
-        chosen = np.full((len(track.Y), 2, self.particles), -1.0, dtype=np.float32)
-        self._compiled(compiled, kind, track, i, streams, chosen)
-        draws = KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[i])
-        return self._reference(track, draws, chosen)
+        chosen = np.full((*track.Y.shape[:2], 2, self.particles), -1.0, dtype=np.float32)
+        self._compiled(compiled, kind, track, streams, chosen)
+        draws = KernelDraws(compiled, streams.philox_key(PARTICLES), streams.replications[0])
+        return self._reference(track, draws, chosen[0])
 
 
 def reweigh(log_w: Array, loglik: Array) -> tuple[Array, Array, bool]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass
 from types import ModuleType
@@ -18,40 +19,52 @@ SHARED_BYTES = 2**26  # the normals of one replication are kept for the next fil
 
 
 class _Shared(threading.local):
-    """The last normals drawn by this thread, shared by the filters of one replication."""
+    """The last normals drawn by this thread, shared by the filters of one tile of replications."""
 
-    key: tuple[Any, ...] = ()
-    memory = np.empty(0, dtype=np.float32)
+    kind: tuple[Any, ...] = ()
+    held: list[int] = []  # the replications whose normals fill the first rows of memory
+    memory = np.empty((0, 0, 3, 0), dtype=np.float32)
 
 
 _shared = _Shared()
 
 
 def shared_normals(
-    compiled: ModuleType, key: tuple[int, int], replication: int, planes: int, particles: int
+    compiled: ModuleType,
+    key: tuple[int, int],
+    replication: int,
+    planes: int,
+    particles: int,
+    tile: int = 1,
 ) -> Any:
     """Standard normals (planes, 3, M), float32, of one replication, with M = `particles` rounded up
-    to whole tiles.
+    to whole tiles; those of `tile` replications are kept.
 
     If the normals need more than SHARED_BYTES, the result is a buffer (1, 3, M) that the kernel
     fills step by step.
     """
     M = -(-particles // compiled.TILE) * compiled.TILE
-    kept = 12 * planes * M <= SHARED_BYTES
-    shape = (planes if kept else 1, 3, M)
-    size = shape[0] * 3 * M
-    if len(_shared.memory) < size:
-        _shared.memory, _shared.key = np.empty(size, dtype=np.float32), ()
-    noise = _shared.memory[:size].reshape(shape)
-    wanted = (key, replication, shape)
-    if kept and _shared.key != wanted:
-        _shared.key = ()
-        for plane in range(planes):
-            compiled.normals(noise[plane], plane, replication, *key)
-        _shared.key = wanted
-    elif not kept:
-        _shared.key = ()
-    return noise
+    kept = 12 * planes * M * tile <= SHARED_BYTES
+    kind = (key, tile, planes, M) if kept else (M,)
+    if _shared.kind != kind:
+        _shared.kind, _shared.held = kind, []
+        shape = (tile, planes, 3, M) if kept else (1, 1, 3, M)
+        _shared.memory = _shared.memory if _shared.memory.shape == shape else aligned(shape)
+    if not kept:
+        return _shared.memory[0]
+    if replication not in _shared.held:
+        if len(_shared.held) == tile:
+            _shared.held = []
+        compiled.draw(_shared.memory[len(_shared.held)], replication, *key)
+        _shared.held = [*_shared.held, replication]
+    return _shared.memory[_shared.held.index(replication)]
+
+
+def aligned(shape: tuple[int, ...]) -> Any:
+    """An array of float32, not filled, that begins at a multiple of 64 bytes."""
+    memory = np.empty(math.prod(shape) + 16, dtype=np.float32)
+    begin = -memory.ctypes.data % 64 // 4
+    return memory[begin : begin + math.prod(shape)].reshape(shape)
 
 
 @dataclass
@@ -80,16 +93,16 @@ class KernelDraws:
 
 
 def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) -> np.ndarray:
-    """The kernel's coefficients (T, B, 15), float32, of measurements Y (T, m) with nominal
-    variances (T, m).
+    """The kernel's coefficients (R, T, B, 15), float32, of measurements Y (R, T, m) with nominal
+    variances (R, T, m), for positions relative to `origin` (R, 3).
 
     See `kernels.particle_likelihood.loglik`; a value that is not measured (NaN) gets the weight 0.
     """
-    s, R = anchors.frames[0][0] - origin, anchors.frames[1][0]
-    B = len(s)
-    y, r = Y.reshape(len(Y), B, -1), quality.reshape(len(Y), B, -1)
-    c = np.zeros((len(Y), B, 15))
-    c[..., :3] = s
+    R = anchors.rotation
+    shape = (*Y.shape[:2], anchors.count)
+    y, r = Y.reshape(*shape, -1), quality.reshape(*shape, -1)
+    c = np.zeros((*shape, 15))
+    c[..., :3] = anchors.position - origin[:, None, None]
     known = ~np.isnan(y)
     y = np.where(known, y, 0.0)
     if kind == KINDS.index("unit_vector"):
@@ -97,17 +110,19 @@ def terms(kind: int, Y: Array, quality: Array, anchors: Anchors, origin: Array) 
         c[..., 6] = np.where(known.all(-1), 0.5 / r[..., 0], 0.0)
         return c.astype(np.float32)
     cosine, sine = np.cos(y[..., :1]), np.sin(y[..., :1])
-    c[..., 3:6] = cosine * R[:, 0] + sine * R[:, 1]
-    c[..., 6:9] = cosine * R[:, 1] - sine * R[:, 0]
-    c[..., 9:12] = R[:, 2]
+    c[..., 3:6] = cosine * R[..., 0, :] + sine * R[..., 1, :]
+    c[..., 6:9] = cosine * R[..., 1, :] - sine * R[..., 0, :]
+    c[..., 9:12] = R[..., 2, :]
     c[..., 12] = y[..., 1]
     c[..., 13:15] = known * (0.5 / r if kind == KINDS.index("azel") else 1.0)
     return c.astype(np.float32)
 
 
-def weights_table(measurement: Measurement) -> np.ndarray:
-    """Table (724,), float32, of w = 1 / (2 variance) and then log(w) / 2, each of azimuth and
-    elevation in turn, at -90, -89 ... 90 degrees.
+def weights_table(measurement: Measurement, kind: int) -> np.ndarray:
+    """Table (724,), float32, of w = 1 / (2 variance) of azimuth and elevation and log(w) / 2 of
+    both, at -90, -89 ... 90 degrees; empty for a `kind` that needs none.
     """
-    w = (0.5 / measurement.variances()).ravel()
-    return np.concatenate([w, 0.5 * np.log(w)]).astype(np.float32)
+    if kind != KINDS.index("azel_adaptive"):
+        return np.empty(0, dtype=np.float32)
+    w = 0.5 / measurement.variances()
+    return np.concatenate([w, 0.5 * np.log(w)], axis=1).astype(np.float32).ravel()

@@ -27,14 +27,19 @@ from aoabench.kernels.square_root import (
     turned,
     update,
 )
+from aoabench.maths.geometry import LIGHT
 
-TILE = 8
+TILE = 32
 
-RHO2_FLOOR = 1e-12  # m^2, as in access_nodes
+RHO2_FLOOR = 1e-12  # m^2, as in filters.access_nodes
+LEAST_VARIANCE = 1e-32  # as in models.components
 # First rows of w: X position, S AN's position, Y measurements, V their variances, A sums A and g,
 # A2 the same sums of the times alone, L factor of the position's covariance, T and Z of an update,
-# N the sum of squared innovations, D the square of the distance below which an AN is skipped
-X, S, Y, V, A, A2, L, T, Z, N, D, ROWS = 0, 3, 6, 9, 12, 21, 30, 36, 45, 48, 49, 50
+# N the sum of squared innovations, D the square of the distance below which an AN is skipped,
+# M AN's rotation, C variances of its position, C0 those of the error that all ANs share, B the
+# direction of its broadside
+X, S, Y, V, A, A2, L, T, Z, N, D = 0, 3, 6, 9, 12, 21, 30, 36, 45, 48, 49
+M, C, C0, B, ROWS = 50, 59, 62, 65, 66
 SURE = 1.0 - ROUNDED
 
 
@@ -92,34 +97,36 @@ def add(w, a, r, f, d, h):
 
 
 @inlined_ordered
-def observe(w, R, c, turn, jacobian, unwrapped, linked, first):
+def observe(w, jacobian, unwrapped, linked, first):
     """Add H^T S^-1 H to A and H^T S^-1 v to g for one AN.
 
-    The terms of the AN's time are added to the rows of w from `first` on. R (3, 3) is its rotation,
-    c (3,) m^2 are the variances of its position. `linked` is 0 if the covariances of time and
-    angles are left out, else 1. The components are decorrelated one after the other, and each is
-    weighted by the inverse of its remaining variance. An AN that is too near is left out.
+    The terms of the AN's time are added to the rows of w from `first` on. `linked` is 0 if the
+    covariances of time and angles are left out, else 1. The components are decorrelated one after
+    the other, and each is weighted by the inverse of its remaining variance. An AN that is too near
+    is left out.
     """
-    M = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
-    C = c[0], c[1], c[2]
     for r in range(TILE):
         x, y, z = w[X, r] - w[S, r], w[X + 1, r] - w[S + 1, r], w[X + 2, r] - w[S + 2, r]
         near = x * x + y * y + z * z < w[D, r]
         yd, ya, ye = w[Y, r], w[Y + 1, r], w[Y + 2, r]
         yd, ya, ye = hidden(near, yd), hidden(near, ya), hidden(near, ye)
+        R0 = w[M, r], w[M + 1, r], w[M + 2, r]
+        R1 = w[M + 3, r], w[M + 4, r], w[M + 5, r]
+        R2 = w[M + 6, r], w[M + 7, r], w[M + 8, r]
+        R, c, turn = (*R0, *R1, *R2), (w[C, r], w[C + 1, r], w[C + 2, r]), w[B, r]
         h, hd, ha, he = expected(
-            M[0] * x + M[1] * y + M[2] * z,
-            M[3] * x + M[4] * y + M[5] * z,
-            M[6] * x + M[7] * y + M[8] * z,
+            R[0] * x + R[1] * y + R[2] * z,
+            R[3] * x + R[4] * y + R[5] * z,
+            R[6] * x + R[7] * y + R[8] * z,
             jacobian,
         )
         d, a, e = w[Y, r] - h[0], w[Y + 1, r] - h[1], w[Y + 2, r] - h[2]
         a = wrapped(w[Y + 1, r] + turn) - wrapped(h[1] + turn) if unwrapped else wrapped(a)
-        d, sd, hd = measured(yd, d, w[V, r], turned(hd, M))
-        a, sa, ha = measured(ya, a, w[V + 1, r], turned(ha, M))
-        e, se, he = measured(ye, e, w[V + 2, r], turned(he, M))
-        sd, sa, se = sd + product(hd, C, hd), sa + product(ha, C, ha), se + product(he, C, he)
-        ad, ed, ea = linked * product(ha, C, hd), linked * product(he, C, hd), product(he, C, ha)
+        d, sd, hd = measured(yd, d, w[V, r], turned(hd, R))
+        a, sa, ha = measured(ya, a, w[V + 1, r], turned(ha, R))
+        e, se, he = measured(ye, e, w[V + 2, r], turned(he, R))
+        sd, sa, se = sd + product(hd, c, hd), sa + product(ha, c, ha), se + product(he, c, he)
+        ad, ed, ea = linked * product(ha, c, hd), linked * product(he, c, hd), product(he, c, ha)
         i = 1.0 / sd
         f, k = ad * i, ed * i
         a, ha = less(f, a, ha, d, hd)
@@ -136,27 +143,27 @@ def observe(w, R, c, turn, jacobian, unwrapped, linked, first):
 
 
 @inlined_ordered
-def common(w, a, C):
+def common(w, a):
     """Replace A by A (I + C A)^-1 and g by (I + A C)^-1 g: a further error of the position.
 
-    C (3,) m^2 are the variances of this error. A and g are the rows of w from a on. With A = c c^T,
-    g = c u and sqrt(C) c = f, the results are c M M^T c^T and c M M^T u, where M is the root of
-    (I + f^T f)^-1. The sum N of squared innovations is reduced by g^T C (I + A C)^-1 g.
+    The rows of w from C0 on are the variances C of this error; A and g are the rows from a on. With
+    A = c c^T, g = c u and sqrt(C) c = f, the results are c G G^T c^T and c G G^T u, where G is the
+    root of (I + f^T f)^-1. The sum N of squared innovations is reduced by g^T C (I + A C)^-1 g.
     """
-    s0, s1, s2 = math.sqrt(C[0]), math.sqrt(C[1]), math.sqrt(C[2])
     for i in range(3):  # the rows of T are free until the update
         for r in range(TILE):
-            w[T + i, r] = C[i] * w[a + 6 + i, r]
+            w[T + i, r] = w[C0 + i, r] * w[a + 6 + i, r]
     for r in range(TILE):
         c0, u0, c1, u1, c2, u2 = columns(w, a, r)
-        M, z = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
-        M, z = absorb(M, z, (s0 * c0[0], s0 * c1[0], s0 * c2[0]), 0.0)
-        M, z = absorb(M, z, (s1 * c0[1], s1 * c1[1], s1 * c2[1]), 0.0)
-        M, z = absorb(M, z, (s2 * c0[2], s2 * c1[2], s2 * c2[2]), 0.0)
-        u = turned((u0, u1, u2), M)
-        x = turned((c0[0], c1[0], c2[0]), M)
-        y = turned((c0[1], c1[1], c2[1]), M)
-        z = turned((c0[2], c1[2], c2[2]), M)
+        s0, s1, s2 = math.sqrt(w[C0, r]), math.sqrt(w[C0 + 1, r]), math.sqrt(w[C0 + 2, r])
+        G, z = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+        G, z = absorb(G, z, (s0 * c0[0], s0 * c1[0], s0 * c2[0]), 0.0)
+        G, z = absorb(G, z, (s1 * c0[1], s1 * c1[1], s1 * c2[1]), 0.0)
+        G, z = absorb(G, z, (s2 * c0[2], s2 * c1[2], s2 * c2[2]), 0.0)
+        u = turned((u0, u1, u2), G)
+        x = turned((c0[0], c1[0], c2[0]), G)
+        y = turned((c0[1], c1[1], c2[1]), G)
+        z = turned((c0[2], c1[2], c2[2]), G)
         for i in range(9):
             w[a + i, r] = 0.0
         add(w, a, r, 1.0, u[0], (x[0], y[0], z[0]))
@@ -166,11 +173,70 @@ def common(w, a, C):
         w[N, r] -= w[T, r] * w[a + 6, r] + w[T + 1, r] * w[a + 7, r] + w[T + 2, r] * w[a + 8, r]
 
 
+@inlined_ordered
+def clear(w, first, stop):
+    """Set rows of w to 0."""
+    for i in range(first, stop):
+        for r in range(TILE):
+            w[i, r] = 0.0
+
+
+@inlined_ordered
+def place(w, start, last, k, m, position, rotation, unwrapped):
+    """Copy position, rotation and broadside's direction of the AN at place m of step k into w."""
+    at, turn = min(k, position.shape[1] - 1), min(k, rotation.shape[1] - 1)
+    for r in range(TILE):
+        i = min(start + r, last)
+        p, q = min(i, len(position) - 1), min(i, len(rotation) - 1)
+        for j in range(3):
+            w[S + j, r] = position[p, at, m, j]
+            for l in range(3):
+                w[M + 3 * j + l, r] = rotation[q, turn, m, j, l]
+    for r in range(TILE):
+        ahead, left = w[M, r], w[M + 1, r]
+        w[B, r] = angle(left, ahead, math.sqrt(ahead * ahead + left * left)) if unwrapped else 0.0
+
+
+@inlined_ordered
+def variances(w, row, start, last, k, m, sigma):
+    """Copy the variances of the position of the AN at place m of step k into the rows from `row`
+    on.
+    """
+    at = min(k, sigma.shape[1] - 1)
+    for r in range(TILE):
+        i = min(start + r, last, len(sigma) - 1)
+        for j in range(3):
+            w[row + j, r] = sigma[i, at, m, j] * sigma[i, at, m, j]
+
+
+@inlined_ordered
+def component(w, start, k, m, row, scale, values, sigmas, used):
+    """Copy one component of the measurements at place m of step k into w, with its variance.
+
+    It counts as not measured, NaN, where its variance is not a positive number. `used` (R, T) are
+    the numbers of measured components.
+    """
+    R, found = len(values), 0
+    for r in range(TILE):
+        i = min(start + r, R - 1)
+        y, s = scale * values[i, k, m], scale * sigmas[i, k, m]
+        q = s * s
+        usable = 0.0 < q < math.inf
+        w[Y + row, r] = y if usable else math.nan
+        w[V + row, r] = max(q if usable else 1.0, LEAST_VARIANCE)
+    for r in range(min(TILE, R - start)):
+        if not math.isnan(w[Y + row, r]):
+            used[start + r, k] += 1
+            found += 1
+    return found
+
+
 @kernel(
     types.void(
-        *(given(d) for d in (2, 2, 2, 2, 4, 4)), given(2, types.int64),
-        *(given(d) for d in (3, 3, 2)), *[types.boolean] * 4,
+        *(given(2) for _ in range(4)), *(given(3) for _ in range(6)), given(4), given(5), given(4),
+        *[types.boolean] * 5,
         types.float64[:, :, ::1], types.float64[:, :, :, ::1], types.float64[:, ::1],
+        types.int64[:, ::1],
     ),
     ORDERED,
 )  # fmt: skip
@@ -179,12 +245,16 @@ def ekf(
     root0,
     F,
     Q,
-    y,
-    q,
-    heard,
+    delay,
+    azimuth,
+    elevation,
+    delay_sigma,
+    azimuth_sigma,
+    elevation_sigma,
     position,
     rotation,
-    C,
+    sigma,
+    toa,
     jacobian,
     unwrapped,
     shared,
@@ -192,85 +262,89 @@ def ekf(
     means,
     covariances,
     nis,
+    used,
 ):
-    """EKF means (R, T, 3) m, covariances (R, T, 3, 3) m^2 and normalised innovations squared (R, T)
-    of R <= TILE replications, into the last three arguments.
+    """EKF means (R, T, 3) m, covariances (R, T, 3, 3) m^2, normalised innovations squared (R, T)
+    and numbers (R, T) of measured components, into the last four arguments.
 
-    y, q (R, T, K, 3): measurements and their variances; x0 (R, n), root0, F, Q (n, n): prior mean,
-    lower factor of the prior covariance, motion model; heard (T, K): numbers of the ANs at each
-    step, -1 for none; position (R, B, 3) m, rotation (B, 3, 3), C (B, 3) m^2: the ANs and the
-    variances of their positions; jacobian, unwrapped, shared, apart: errata to run as printed.
+    x0 (R, n), root0, F, Q (n, n): prior mean, lower factor of the prior covariance, motion model;
+    delay s ... elevation_sigma rad (R, T, K): measurements and their deviations, NaN = not
+    measured; position, sigma (R|1, T|1, K, 3) m, rotation (R|1, T|1, K, 3, 3): the ANs and the
+    deviations of their positions; toa: whether the delays are used; jacobian, unwrapped, shared,
+    apart: errata to run as printed.
     """
-    (steps, K), (R, n) = heard.shape, x0.shape
-    last = R - 1
+    (R, steps, K), n = azimuth.shape, x0.shape[1]
     x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
     P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
-    exact, linked = np.zeros(3), 0.0 if apart else 1.0
-    for i in range(n):
-        for r in range(TILE):
-            x[i, r] = x0[min(r, last), i]
-        for j in range(n):
+    linked = 0.0 if apart else 1.0
+    for start in range(0, R, TILE):
+        lanes = min(TILE, R - start)
+        clear(w, 0, ROWS)
+        for i in range(n):
             for r in range(TILE):
-                root[i, j, r] = root0[i, j]
-    for k in range(steps):
-        predict(TILE, x, root, F, Q, P, FR, Fx)
-        cholesky(TILE, P, root)
-        reach(TILE, P, w[D])
-        for i in range(A, L):
-            for r in range(TILE):
-                w[i, r] = 0.0
-        for r in range(TILE):
-            w[N, r] = 0.0
-        for i in range(3):
-            for r in range(TILE):
-                w[X + i, r] = x[i, r]
-        for m in range(K):
-            a = heard[k, m]
-            if a < 0:
-                break
+                x[i, r] = x0[min(start + r, R - 1), i]
+            for j in range(n):
+                for r in range(TILE):
+                    root[i, j, r], P[i, j, r] = root0[i, j], 0.0
+        for k in range(steps):
+            predict(lanes, x, root, F, Q, P, FR, Fx)
+            cholesky(lanes, P, root)
+            reach(TILE, P, w[D])
+            clear(w, A, L)
+            clear(w, N, N + 1)
             for i in range(3):
                 for r in range(TILE):
-                    w[S + i, r] = position[min(r, last), a, i]
-                    w[Y + i, r] = y[min(r, last), k, m, i]
-                    w[V + i, r] = q[min(r, last), k, m, i]
-            ahead, left = rotation[a, 0, 0], rotation[a, 0, 1]
-            turn = angle(left, ahead, math.sqrt(ahead * ahead + left * left)) if unwrapped else 0.0
-            own = exact if shared else C[a]
-            if shared and apart:
-                observe(w, rotation[a], own, turn, jacobian, unwrapped, linked, A2)
-            else:
-                observe(w, rotation[a], own, turn, jacobian, unwrapped, linked, A)
-        if shared:
-            common(w, A, C[0])
-            if apart:
-                common(w, A2, C[0])
-                for i in range(9):
+                    w[X + i, r] = x[i, r]
+            if shared:
+                variances(w, C0, start, R - 1, k, 0, sigma)
+            for m in range(K):
+                found = component(w, start, k, m, 1, 1.0, azimuth, azimuth_sigma, used)
+                found += component(w, start, k, m, 2, 1.0, elevation, elevation_sigma, used)
+                if toa:
+                    found += component(w, start, k, m, 0, LIGHT, delay, delay_sigma, used)
+                else:
                     for r in range(TILE):
-                        w[A + i, r] += w[A2 + i, r]
-        for i in range(3):
-            for j in range(i + 1):
-                for r in range(TILE):
-                    w[L + i * (i + 1) // 2 + j, r] = root[i, j, r]
-        update(TILE, w, A, L, T, Z, N)
-        conclude(TILE, x, root, w, T, Z)
-        store(TILE, x, root, w[N], 0, k, means, covariances, nis)
+                        w[Y, r], w[V, r] = math.nan, 1.0
+                if found == 0:
+                    continue
+                place(w, start, R - 1, k, m, position, rotation, unwrapped)
+                if not shared:
+                    variances(w, C, start, R - 1, k, m, sigma)
+                if shared and apart:
+                    observe(w, jacobian, unwrapped, linked, A2)
+                else:
+                    observe(w, jacobian, unwrapped, linked, A)
+            if shared:
+                common(w, A)
+                if apart:
+                    common(w, A2)
+                    for i in range(9):
+                        for r in range(TILE):
+                            w[A + i, r] += w[A2 + i, r]
+            for i in range(3):
+                for j in range(i + 1):
+                    for r in range(TILE):
+                        w[L + i * (i + 1) // 2 + j, r] = root[i, j, r]
+            update(TILE, w, A, L, T, Z, N)
+            conclude(lanes, x, root, w, T, Z)
+            store(lanes, x, root, w[N], start, k, means, covariances, nis)
 
 
-def run(mean, root, F, Q, y, q, heard, anchors, C, flags):
-    """Positions (R, T, 3) m, covariances (R, T, 3, 3) m^2 and normalised innovations squared
-    (R, T), computed tile by tile.
+def run(belief, batch, toa, flags):
+    """Positions (R, T, 3) m, covariances (R, T, 3, 3) m^2, normalised innovations squared (R, T)
+    and numbers (R, T) of measured components.
+
+    The covariance of `belief` is a square root; toa: whether the delays are used; flags: errata.
     """
-    R, T = y.shape[:2]
-    places, rotation = anchors.frames
-    places = np.broadcast_to(places, (R, *places.shape[1:]))
-    position, covariance, nis = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T))
-    # replications of a tile share rotations and stated deviations; if these differ, it has only one
-    size = TILE if len(rotation) == len(C) == 1 else 1
-    for start in range(0, R, size):
-        of = slice(start, min(start + size, R))
-        turned, known = (a[start if len(a) > 1 else 0] for a in (rotation, C))
-        first = [np.ascontiguousarray(a, dtype=float) for a in (mean[of], root, F, Q, y[of], q[of])]
-        more = [np.ascontiguousarray(a, dtype=float) for a in (places[of], turned, known)]
-        out = position[of], covariance[of], nis[of]
-        ekf(*first, np.ascontiguousarray(heard), *more, *flags, *out)
-    return position, covariance, nis
+    R, T, K = batch.azimuth.shape
+    delay = (batch.delay, batch.delay_sigma) if toa else (batch.azimuth, batch.azimuth_sigma)
+    own = batch.anchors.position_sigma
+    arrays = (
+        *belief, delay[0], batch.azimuth, batch.elevation,
+        delay[1], batch.azimuth_sigma, batch.elevation_sigma,
+        batch.anchors.position, batch.anchors.rotation,
+        np.zeros((1, 1, K, 3)) if own is None else own,
+    )  # fmt: skip
+    out = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T)), np.zeros((R, T), int)
+    ekf(*(np.ascontiguousarray(a, dtype=float) for a in arrays), toa, *flags, *out)
+    return out

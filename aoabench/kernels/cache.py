@@ -1,16 +1,20 @@
-"""The folder that keeps compiled kernels: one for each state of the kernels' source.
+"""The folders that keep compiled kernels: one for each state of the source of a module of kernels.
 
 numba compares the time stamp of the file that defines a kernel, but not those of the files that it
-imports. Therefore the folder's name is a hash of all these files: any change gives a new folder,
+imports. Therefore the folder's name holds a hash of all these files: any change gives a new folder,
 and kernels of other versions are never loaded. Old folders stay; they can be deleted safely.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,29 +30,75 @@ class Kept(NamedTuple):
     refused: Path | None = None
 
 
-def kept(stated: str = "") -> Kept:
-    """Return the folder of compiled kernels, which is created if it is missing.
+def kept(stated: str, module: str) -> Kept:
+    """Return the folder of the compiled kernels of a module, which is created if it is missing.
 
     It lies below `stated` (NUMBA_CACHE_DIR), or below the user's cache folder if `stated` is empty.
     If that folder cannot be written, it lies below the folder for temporary files.
     """
     wanted = Path(stated) if stated else _user_cache()
-    if found := _written(wanted / "aoabench" / source_digest()):
+    inner = f"{module.rpartition('.')[2]}-{source_digest(module)}"
+    if found := _written(wanted / "aoabench" / inner):
         return Kept(found)
     own = Path(tempfile.gettempdir()) / f"aoabench-{_user_id()}"
-    found = _written(own / source_digest()) if _private(own) else None
+    found = _written(own / inner) if _private(own) else None
     return Kept(found, wanted)
 
 
-def source_digest() -> str:
-    """Hash of outcomes, reasons and the files of aoabench.kernels; it identifies machine code."""
+def source_digest(module: str) -> str:
+    """Hash of outcomes, reasons, a module of aoabench.kernels and all files of this folder that it
+    imports, directly or not; it identifies machine code.
+    """
     numbers = repr([(o.name, o.value) for o in (*Outcome, *Reason)])
     read = hashlib.blake2b(numbers.encode(), digest_size=10)
-    for file in sorted(Path(__file__).parent.glob("*.py")):
+    todo, found = [Path(__file__).with_name(f"{module.rpartition('.')[2]}.py")], set[Path]()
+    while todo:
+        file = todo.pop()
+        if file not in found:
+            found.add(file)
+            todo += _imported(file, file.stat().st_mtime_ns)
+    for file in sorted(found):
         text = file.read_bytes()
         read.update(f"{file.name} {len(text)}\n".encode())
         read.update(text)
     return read.hexdigest()
+
+
+@cache
+def _imported(file: Path, _changed: int) -> list[Path]:
+    """The files of this folder whose names stand in a file's imports."""
+    names = set[str]()
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            inside = getattr(node, "module", None) or ""
+            for dotted in (inside, *(alias.name for alias in node.names)):
+                names |= set(dotted.split("."))
+    return [one for name in names if (one := file.with_name(f"{name}.py")).exists()]
+
+
+@contextmanager
+def alone(folder: Path | None, kernel: str) -> Iterator[None]:
+    """Compile a kernel in this context while other processes that need it wait, and note in the
+    folder that it was compiled. Where files cannot be locked, several may compile it.
+    """
+    if folder is None:
+        yield
+        return
+    with (folder / f"{kernel}.lock").open("a", encoding="ascii") as file:
+        with suppress(ImportError, OSError):
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+        if not file.tell():
+            file.write("compiled")
+
+
+def noted(folder: Path | None, kernel: str) -> bool:
+    """Whether `alone` noted in the folder that a kernel was compiled."""
+    with suppress(OSError):
+        return folder is not None and (folder / f"{kernel}.lock").stat().st_size > 0
+    return False
 
 
 def _user_cache() -> Path:

@@ -1,4 +1,4 @@
-"""Compilation of kernels before their first call, with a disk cache that notices every change.
+"""Compilation of kernels before their first use, with a disk cache that notices every change.
 
 Functions that kernels share are inlined into each kernel, so that loops around them vectorise:
 `inlined` by LLVM, with the function's own options, and `spliced` by numba, with the options of the
@@ -14,17 +14,17 @@ from typing import Any
 
 import numba
 from numba import njit, types
+from numba.extending import typeof_impl
 
-from aoabench.kernels.cache import kept
+from aoabench.kernels import cache
 
 config: Any = numba.config  # numba sets its attributes at import
-KEPT = kept(config.CACHE_DIR)
 # contract: fused multiply-add; reassoc, nsz: sums in vector lanes; infinities and NaN occur, so
 # ninf and nnan are not allowed
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
 ORDERED: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}  # sums as written
 
-_one_at_a_time = threading.Lock()
+_one_at_a_time = threading.RLock()  # a kernel may need another
 
 inlined = njit(forceinline=True, **OPTIONS)
 inlined_ordered = njit(forceinline=True, **ORDERED)
@@ -32,19 +32,55 @@ called = njit(**OPTIONS)
 spliced = njit(inline="always", **ORDERED)
 
 
+class Kernel:
+    """A function compiled for one signature, or loaded from the disk cache, when it is first used:
+    called, by Python or by another kernel, or asked for by `ready`.
+    """
+
+    def __init__(self, function: Callable[..., Any], signature: Any, options: Any) -> None:
+        self.module, self.name = function.__module__, function.__name__
+        self.kept = cache.kept(config.CACHE_DIR, self.module)
+        self.py_func, self._signature, self._compiled = function, signature, None
+        with _cache_folder(self.kept.folder):
+            cached = self.kept.folder is not None
+            self._dispatcher = njit(cache=cached, nogil=True, **options)(function)
+
+    @property
+    def noted(self) -> bool:
+        """Whether a process noted in the cache folder that it compiled the kernel."""
+        return cache.noted(self.kept.folder, self.name)
+
+    def ready(self) -> Any:
+        """numba's dispatcher with the compiled function; other processes that need it wait."""
+        with _one_at_a_time:
+            if self._compiled is None:
+                with cache.alone(self.kept.folder, self.name):
+                    self._dispatcher.compile(self._signature)
+                self._dispatcher.disable_compile()
+                self._compiled = self._dispatcher
+        return self._compiled
+
+    def __call__(self, *arguments: Any) -> Any:
+        return (self._compiled or self.ready())(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.ready(), name)
+
+
+@typeof_impl.register(Kernel)
+def _type_in_kernels(kernel: Kernel, _context: Any) -> types.Type:
+    return types.Dispatcher(kernel.ready())
+
+
 def kernel(
     signature: Any, options: dict[str, Any] = OPTIONS
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator that compiles a function for `signature` or loads it from the disk cache."""
+    """Decorator that makes a function a Kernel for `signature`; with NUMBA_DISABLE_JIT it stays a
+    function in Python.
+    """
 
     def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-        with _cache_folder() as cache:
-            dispatcher = njit(cache=cache, nogil=True, **options)(function)
-        if config.DISABLE_JIT:
-            return function
-        dispatcher.compile(signature)
-        dispatcher.disable_compile()
-        return dispatcher
+        return function if config.DISABLE_JIT else Kernel(function, signature, options)
 
     return compiled
 
@@ -55,15 +91,12 @@ def given(dimensions: int, dtype: Any = types.float64) -> types.Array:
 
 
 @contextmanager
-def _cache_folder() -> Iterator[bool]:
-    """Yield whether KEPT has a folder; numba caches functions decorated in this context in it.
-
-    Afterwards numba uses its previous cache folder again.
-    """
+def _cache_folder(folder: Any) -> Iterator[None]:
+    """numba caches functions decorated in this context in `folder`, afterwards where it did."""
     with _one_at_a_time:
         before = config.CACHE_DIR
-        config.CACHE_DIR = str(KEPT.folder or before)
+        config.CACHE_DIR = str(folder or before)
         try:
-            yield KEPT.folder is not None
+            yield
         finally:
             config.CACHE_DIR = before

@@ -19,19 +19,24 @@ from numba import types
 from aoabench.kernels.compile import ORDERED, given, inlined_ordered, kernel
 from aoabench.kernels.directions import (
     TILE,
+    at_elevation,
+    components,
     deviation,
     direction,
+    fetch,
+    fetch_angles,
     hide,
+    inform,
     innovation,
+    precise,
     seen_from,
-    slopes,
-    squared_length,
-    variance,
+    tally,
     weigh,
 )
-from aoabench.kernels.small import AZEL_ADAPTIVE
+from aoabench.kernels.small import AZEL_ADAPTIVE, UNIT_VECTOR
 from aoabench.kernels.square_root import cholesky, conclude, predict, reach, store, update
 
+AHEAD = 4  # steps whose angles are fetched at a time
 AVERAGED, CENTRE = range(2)  # the UKF's variances
 
 # Rows of w: A and g, the position's factor; an update's T and z; the sum of squared innovations
@@ -42,29 +47,37 @@ A, G, L, T, Z, N, ROWS = 0, 6, 9, 15, 24, 27, 28
 
 
 @inlined_ordered
-def subtract(out, a, b):
-    """out -= a b."""
-    for r in range(TILE):
-        out[r] -= a[r] * b[r]
-
-
-@inlined_ordered
-def add(out, a, b):
-    """out += a b."""
-    for r in range(TILE):
-        out[r] += a[r] * b[r]
+def accumulate(z, W, v, wz, M, b):
+    """M += z W z^T, its lower half, and b += z W v for the deviations z (d, 6, TILE) of d
+    components, their precisions W and innovations v (d, TILE); wz (d, TILE) is workspace.
+    """
+    d = len(z)
+    for i in range(6):
+        for l in range(d):
+            for r in range(TILE):
+                wz[l, r] = W[l, r] * z[l, i, r]
+                b[i, r] += wz[l, r] * v[l, r]
+        for q in range(i + 1):
+            if d == 2:
+                for r in range(TILE):
+                    M[i, q, r] += wz[0, r] * z[0, q, r] + wz[1, r] * z[1, q, r]
+            else:
+                for r in range(TILE):
+                    M[i, q, r] += (
+                        wz[0, r] * z[0, q, r] + wz[1, r] * z[1, q, r] + wz[2, r] * z[2, q, r]
+                    )
 
 
 @inlined_ordered
 def eliminate(M, b):
-    """Eliminate the first four of seven unknowns from M x = b, M given by its lower half.
+    """Eliminate the first three of six unknowns from M x = b, M given by its lower half.
 
-    M[4:, 4:] and b[4:] then hold the system of the last three; M[j, j] (j < 4) its reciprocals.
+    M[3:, 3:] and b[3:] then hold the system of the last three; M[j, j] (j < 3) its reciprocals.
     """
-    for j in range(4):
+    for j in range(3):
         for r in range(TILE):
             M[j, j, r] = 1.0 / M[j, j, r]
-        for i in range(j + 1, 7):
+        for i in range(j + 1, 6):
             for r in range(TILE):
                 b[i, r] -= M[i, j, r] * M[j, j, r] * b[j, r]
             for l in range(j + 1, i + 1):
@@ -78,193 +91,237 @@ def eliminate(M, b):
 @inlined_ordered
 def remaining(M, b, w):
     """Rows A, g and L of w for the three unknowns left by `eliminate`, and N without the share of
-    the other four.
+    the other three.
     """
-    for i in range(4):
+    for i in range(3):
         for r in range(TILE):
             w[N, r] -= M[i, i, r] * b[i, r] * b[i, r]
     for i in range(3):
-        w[G + i] = b[4 + i]
+        w[G + i] = b[3 + i]
         for j in range(i + 1):
-            w[A + i * (i + 1) // 2 + j] = M[4 + i, 4 + j]
+            w[A + i * (i + 1) // 2 + j] = M[3 + i, 3 + j]
             w[L + i * (i + 1) // 2 + j] = 1.0 if i == j else 0.0
 
 
 @inlined_ordered
-def load(source, start, out):
-    """Copy replications start ... of source (R|1, ...) into out (..., TILE); the last one fills up
+def points(x, root, s, R, spread, out):
+    """Seven sigma points in an anchor's frame into out (7, 3, TILE): the position x, and x plus and
+    minus `spread` times the columns of the position's factor.
+    """
+    seen_from(x, s, R, out[0])
+    for l in range(3):
+        for i in range(3):
+            for r in range(TILE):
+                a = R[i, 2, r] * root[2, l, r]
+                if l < 2:
+                    a += R[i, 1, r] * root[1, l, r]
+                if l < 1:
+                    a += R[i, 0, r] * root[0, l, r]
+                out[1 + l, i, r] = out[0, i, r] + spread * a
+                out[4 + l, i, r] = out[0, i, r] - spread * a
+
+
+@inlined_ordered
+def begin(start, x0, root0, x, root):
+    """Prior x (n, TILE) and root (n, n, TILE) of the replications start ...; the last one fills up
     the tile.
     """
-    last = len(source) - 1
-    a, b = out.reshape(-1, TILE), source.reshape(len(source), -1)
-    for i in range(len(a)):
-        for r in range(TILE):
-            a[i, r] = b[min(start + r, last), i]
-
-
-@inlined_ordered
-def load_step(source, start, k, c, out):
-    """Copy component c of step k into out (TILE,), as `load` does it."""
-    last = len(source) - 1
-    for r in range(TILE):
-        out[r] = source[min(start + r, last), k, c]
-
-
-@inlined_ordered
-def begin(start, x0, root0, position, rotation, x, root, s, rot):
-    """Prior x (n, TILE), root (n, n, TILE) and anchors s, rot of the replications start ..."""
-    load(x0, start, x)
-    load(position, start, s)
-    load(rotation, start, rot)
     for i in range(len(x)):
+        for r in range(TILE):
+            x[i, r] = x0[min(start + r, len(x0) - 1), i]
         for j in range(len(x)):
             root[i, j] = root0[i, j]
 
 
+@inlined_ordered
+def arrive(kind, measured, frames, start, k, seen, precision, s, rot):
+    """Fetch the angles of step k and of the next ones into seen (AHEAD, B, 2, TILE), and precisions
+    (AHEAD|1, B, 2, TILE) and anchors if they change with the step.
+    """
+    azimuth, elevation, azimuth_sigma, elevation_sigma = measured
+    if k % AHEAD == 0:
+        fetch_angles(azimuth, start, k, 0, seen)
+        fetch_angles(elevation, start, k, 1, seen)
+        if k < azimuth_sigma.shape[1]:
+            fetch_angles(azimuth_sigma, start, k, 0, precision)
+            fetch_angles(elevation_sigma, start, k, 1, precision)
+            for t in range(len(precision)):
+                for j in range(len(s)):
+                    precise(kind, precision[t, j])
+    if k < frames[0].shape[1]:
+        fetch(frames[0], start, k, s)
+    if k < frames[1].shape[1]:
+        fetch(frames[1], start, k, rot)
+
+
+@inlined_ordered
+def keep(root, w):
+    """Row L of w: the factor of the position's covariance."""
+    for i in range(3):
+        for j in range(i + 1):
+            w[L + i * (i + 1) // 2 + j] = root[i, j]
+
+
+@inlined_ordered
+def note(start, k, count, measured):
+    """Store the numbers of measured components at step k."""
+    for r in range(min(TILE, len(measured) - start)):
+        measured[start + r, k] = count[r]
+
+
 ARGUMENTS = (
     types.intp,
-    *(given(dimensions) for dimensions in (2, 2, 2, 2, 3, 3, 3, 4, 2)),
+    *(given(dimensions) for dimensions in (2, 2, 2, 2, 3, 3, 3, 3, 4, 5, 2)),
     types.float64[:, :, ::1],
     types.float64[:, :, :, ::1],
     types.float64[:, ::1],
+    types.int64[:, ::1],
 )
 
 
 @kernel(types.void(*ARGUMENTS), ORDERED)
-def ekf(kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, covariances, nis):
-    """EKF of each replication: means (R, T, 3), covariances (R, T, 3, 3) and normalised innovations
-    squared (R, T) from measurements Y (R, T, m).
+def ekf(
+    kind, x0, root0, F, Q, azimuth, elevation, azimuth_sigma, elevation_sigma, position, rotation,
+    table, means, covariances, nis, measured,
+):  # fmt: skip
+    """EKF of each replication: means (R, T, 3), covariances (R, T, 3, 3), normalised innovations
+    squared (R, T) and numbers of measured components (R, T) from angles (R, T, B) and their
+    deviations (R|1, T|1, B) in rad.
 
-    x0 (R, n), root0, F, Q (n, n), where root0 is a lower factor of the prior's covariance; quality
-    (R, T, m) nominal variances; anchors (R|1, B, ...); `table` (181, 2) of variances for
-    AZEL_ADAPTIVE.
+    x0 (R, n), root0, F, Q (n, n), where root0 is a lower factor of the prior's covariance; anchors
+    (R|1, T|1, B, ...); `table` (181, 2) of variances for AZEL_ADAPTIVE, which takes from the
+    deviations only whether they are known.
     """
-    (R, steps, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
-    d = m // B
+    (R, steps, B), n, d = azimuth.shape, x0.shape[1], 3 if kind == UNIT_VECTOR else 2
     x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
     P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
     s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
-    local, c, h = np.empty((3, TILE)), np.empty((3, TILE)), np.empty((3, 3, TILE))
-    y, nominal, var = np.empty(TILE), np.empty(TILE), np.empty(TILE)
-    v, W, d2, least = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
+    seen = np.empty((AHEAD, B, 2, TILE))
+    known = min(AHEAD, azimuth_sigma.shape[1])
+    precision = np.zeros((known, B, 2, TILE))
+    local, c, y = np.empty((3, TILE)), np.empty((3, TILE)), np.empty((d, TILE))
+    v, W, var = np.empty((d, TILE)), np.empty((d, TILE)), np.empty(TILE)
+    least, count = np.empty(TILE), np.empty(TILE, np.int64)
+    observed = azimuth, elevation, azimuth_sigma, elevation_sigma
     for start in range(0, R, TILE):
-        begin(start, x0, root0, position, rotation, x, root, s, rot)
+        begin(start, x0, root0, x, root)
         for k in range(steps):
+            arrive(kind, observed, (position, rotation), start, k, seen, precision, s, rot)
+            now, weight = seen[k % AHEAD], precision[k % known]
             predict(TILE, x, root, F, Q, P, FR, Fx)
             cholesky(TILE, P, root)
             reach(TILE, P, least)
             w[A : G + 3] = 0.0
             w[N] = 0.0
+            count[:] = 0
             for j in range(B):
+                components(kind, now[j], weight[j], y)
+                if not tally(d, y, count):
+                    continue
                 seen_from(x, s[j], rot[j], local)
                 direction(kind, local, c)
-                slopes(kind, local, c, rot[j], h)
-                squared_length(local, d2)
                 for l in range(d):
-                    load_step(Y, start, k, d * j + l, y)
-                    hide(d2, least, y)
-                    load_step(quality, start, k, d * j + l, nominal)
-                    variance(kind, l, c[1], nominal, table, var)
-                    innovation(kind, l, y, c[l], var, v, W)
-                    weigh(v, W, w[N])
-                    for r in range(TILE):
-                        a, b, e = W[r] * h[l, 0, r], W[r] * h[l, 1, r], W[r] * h[l, 2, r]
-                        w[A, r] += a * h[l, 0, r]
-                        w[A + 1, r] += b * h[l, 0, r]
-                        w[A + 2, r] += b * h[l, 1, r]
-                        w[A + 3, r] += e * h[l, 0, r]
-                        w[A + 4, r] += e * h[l, 1, r]
-                        w[A + 5, r] += e * h[l, 2, r]
-                        w[G, r] += a * v[r]
-                        w[G + 1, r] += b * v[r]
-                        w[G + 2, r] += e * v[r]
-            for i in range(3):
-                for j in range(i + 1):
-                    w[L + i * (i + 1) // 2 + j] = root[i, j]
+                    if kind == AZEL_ADAPTIVE:
+                        at_elevation(c[1], table, l, var)
+                        for r in range(TILE):
+                            var[r] = 1.0 / var[r]
+                    else:
+                        var[:] = weight[j, min(l, 1)]
+                    innovation(kind, l, y[l], c[l], var, v[l], W[l])
+                hide(local, least, W)
+                for l in range(d):
+                    weigh(v[l], W[l], w[N])
+                inform(kind, local, c, rot[j], v, W, w, A)
+            keep(root, w)
             update(TILE, w, A, L, T, Z, N)
             conclude(TILE, x, root, w, T, Z)
             store(TILE, x, root, w[N], start, k, means, covariances, nis)
+            note(start, k, count, measured)
 
 
 @kernel(types.void(*ARGUMENTS, types.float64, types.intp), ORDERED)
 def ukf(
-    kind, x0, root0, F, Q, Y, quality, position, rotation, table, means, covariances, nis,
-    lambda_, form,
+    kind, x0, root0, F, Q, azimuth, elevation, azimuth_sigma, elevation_sigma, position, rotation,
+    table, means, covariances, nis, measured, lambda_, form,
 ):  # fmt: skip
     """UKF of each replication with 2 n + 1 sigma points; `form` AVERAGED or CENTRE, the rest as for
     `ekf`.
 
     Seven points are computed: the others have the centre's position, and their weights are added to
-    the centre's. Each pair of points gives a half sum and a half difference. Only the differences
-    deviate in the state; the other four unknowns are eliminated, which leaves the update of the
+    the centre's. With the sums S_i and differences D_i of the deviations of three pairs, the
+    predicted measurement's covariance is the sum of D_i D_i^T and E_i E_i^T, times each / 2, where
+    E_i = S_i + shared (S_1 + S_2 + S_3) includes the deviation of their mean. Only the differences
+    deviate in the state; the other three unknowns are eliminated, which leaves the update of the
     state.
     """
-    (R, steps, m), (B, n) = Y.shape, (position.shape[1], x0.shape[1])
-    d = m // B
+    (R, steps, B), n, d = azimuth.shape, x0.shape[1], 3 if kind == UNIT_VECTOR else 2
     x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
     P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
-    point, image, z = np.empty((7, 3, TILE)), np.empty((7, 3, TILE)), np.empty((7, TILE))
-    M, b = np.empty((7, 7, TILE)), np.empty((7, TILE))
-    s, rot, local = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE)), np.empty((3, TILE))
-    y, nominal, var = np.empty(TILE), np.empty(TILE), np.empty(TILE)
-    v, W = np.empty(TILE), np.empty(TILE)
-    one, mean, expected = np.empty(TILE), np.empty(TILE), np.empty(TILE)
+    local, image, z = np.empty((7, 3, TILE)), np.empty((7, 3, TILE)), np.empty((d, 6, TILE))
+    M, b = np.empty((6, 6, TILE)), np.empty((6, TILE))
+    s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
+    seen = np.empty((AHEAD, B, 2, TILE))
+    known = min(AHEAD, azimuth_sigma.shape[1])
+    precision = np.zeros((known, B, 2, TILE))
+    y, v, W = np.empty((d, TILE)), np.empty((d, TILE)), np.empty((d, TILE))
+    wz, var = np.empty((d, TILE)), np.empty(TILE)
+    one, expected = np.empty(TILE), np.empty(TILE)
+    count = np.empty(TILE, np.int64)
+    observed = azimuth, elevation, azimuth_sigma, elevation_sigma
     each, spread = 0.5 / (n + lambda_), math.sqrt(n + lambda_)
     centre = (lambda_ + n - 3.0) / (n + lambda_)
-    half, still = math.sqrt(0.5 * each), math.sqrt(centre)
+    half, shared = math.sqrt(0.5 * each), (math.sqrt(centre) - 1.0) / 3.0
     for start in range(0, R, TILE):
-        begin(start, x0, root0, position, rotation, x, root, s, rot)
+        begin(start, x0, root0, x, root)
         for k in range(steps):
+            arrive(kind, observed, (position, rotation), start, k, seen, precision, s, rot)
+            now, weight = seen[k % AHEAD], precision[k % known]
             predict(TILE, x, root, F, Q, P, FR, Fx)
             cholesky(TILE, P, root)
-            for i in range(3):
-                point[0, i] = x[i]
-                for l in range(3):
-                    for r in range(TILE):
-                        step = spread * root[i, l, r] if l <= i else 0.0
-                        point[1 + l, i, r], point[4 + l, i, r] = x[i, r] + step, x[i, r] - step
             b[:] = 0.0
             M[:] = 0.0
             w[N] = 0.0
-            for i in range(4):
+            count[:] = 0
+            for i in range(3):
                 M[i, i] = 1.0
             for j in range(B):
+                components(kind, now[j], weight[j], y)
+                if not tally(d, y, count):
+                    continue
+                points(x, root, s[j], rot[j], spread, local)
                 for i in range(7):
-                    seen_from(point[i], s[j], rot[j], local)
-                    direction(kind, local, image[i])
+                    direction(kind, local[i], image[i])
                 for l in range(d):
-                    load_step(Y, start, k, d * j + l, y)
-                    load_step(quality, start, k, d * j + l, nominal)
-                    mean[:] = 0.0
-                    for i in range(1, 7):
-                        deviation(kind, l, image[i, l], image[0, l], z[i])
-                        for r in range(TILE):
-                            mean[r] += each * z[i, r]
-                    if form == CENTRE or kind != AZEL_ADAPTIVE:
-                        variance(kind, l, image[0, 1], nominal, table, var)
+                    for i in range(6):
+                        deviation(kind, l, image[1 + i, l], image[0, l], z[l, i])
+                    if kind != AZEL_ADAPTIVE:
+                        var[:] = weight[j, min(l, 1)]
                     else:
-                        var[:] = 0.0
-                        for i in range(7):
-                            variance(kind, l, image[i, 1], nominal, table, one)
+                        at_elevation(image[0, 1], table, l, var)
+                        if form == AVERAGED:
                             for r in range(TILE):
-                                var[r] += (each if i else centre) * one[r]
+                                var[r] *= centre
+                            for i in range(1, 7):
+                                at_elevation(image[i, 1], table, l, one)
+                                for r in range(TILE):
+                                    var[r] += each * one[r]
+                        for r in range(TILE):
+                            var[r] = 1.0 / var[r]
                     for r in range(TILE):
-                        expected[r] = image[0, l, r] + mean[r]
-                        z[0, r] = -still * mean[r]
-                    for i in range(1, 4):
-                        for r in range(TILE):
-                            p, q = z[i, r], z[3 + i, r]
-                            z[i, r], z[3 + i, r] = half * (p + q - 2.0 * mean[r]), half * (p - q)
-                    innovation(kind, l, y, expected, var, v, W)
-                    weigh(v, W, w[N])
-                    for i in range(7):
-                        for r in range(TILE):
-                            one[r] = z[i, r] * W[r]
-                        add(b[i], one, v)
-                        for q in range(i + 1):
-                            add(M[i, q], one, z[q])
+                        a, e, f = z[l, 0, r], z[l, 1, r], z[l, 2, r]
+                        p, q, t = z[l, 3, r], z[l, 4, r], z[l, 5, r]
+                        total = a + e + f + p + q + t
+                        expected[r] = image[0, l, r] + each * total
+                        total *= shared
+                        z[l, 0, r], z[l, 3, r] = half * (a + p + total), half * (a - p)
+                        z[l, 1, r], z[l, 4, r] = half * (e + q + total), half * (e - q)
+                        z[l, 2, r], z[l, 5, r] = half * (f + t + total), half * (f - t)
+                    innovation(kind, l, y[l], expected, var, v[l], W[l])
+                    weigh(v[l], W[l], w[N])
+                accumulate(z, W, v, wz, M, b)
             eliminate(M, b)
             remaining(M, b, w)
             update(TILE, w, A, L, T, Z, N)
             conclude(TILE, x, root, w, T, Z)
             store(TILE, x, root, w[N], start, k, means, covariances, nis)
+            note(start, k, count, measured)

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from functools import cache
 from types import ModuleType
 from typing import Any, ClassVar
 
+from aoabench.kernels.cache import Kept
+from aoabench.kernels.helpers import helping
 from aoabench.params import param
 from aoabench.types import Anchors
+
+# those with kernels that estimators call, the ones that more of them call first
+_MODULES = tuple(
+    f"kernels.{name}" for name in ("kalman", "particle", "snapshot", "access_nodes", "discrepancy")
+)
+Say = Callable[[str], None]
+_collected: ContextVar[list[Any] | None] = ContextVar("collected", default=None)
 
 
 def engine_param(**more: str) -> Any:
@@ -26,11 +36,12 @@ class Compiled:
     engine: str
     kernels: ClassVar[str]  # the module that holds them
     per_step: ClassVar[bool] = False  # whether they take anchors that differ from step to step
+    entries: ClassVar[tuple[str, ...]] = ()  # the kernels of the module that are called; (): all
 
-    def prepare(self, say: Callable[[str], None]) -> None:
+    def prepare(self, say: Say) -> None:
         """Compile or load the kernels before workers run in parallel; `say` prints a line."""
         if self.engine == "auto":
-            prepare(self.kernels, say)
+            prepare(self.kernels, say, self.entries)
 
     def compiled(self, anchors: Anchors) -> ModuleType | None:
         """The module of the kernels; None if NumPy is used, as it is for anchors that move and
@@ -50,39 +61,88 @@ def load(name: str) -> ModuleType | None:
     return importlib.import_module(f"aoabench.{name}")
 
 
-def prepare(name: str, say: Callable[[str], None]) -> None:
-    """Load the module aoabench.`name`; `say` prints a line when numba starts to compile it, or if
-    numba is missing.
+def prepare(name: str, say: Say, entries: Sequence[str] = ()) -> None:
+    """Compile or load kernels of the module aoabench.`name`: those named in `entries`, or all.
+    `say` prints a line when numba starts to compile, or if numba is missing.
 
-    Kernels from the disk cache are loaded without compiling, and no line is printed.
+    Kernels from the disk cache are loaded without compiling, and no line is printed. In the context
+    `together`, nothing is compiled before its end.
     """
-    with _reporting(say):
-        found = load(name)
-    if found is None:
+    module = load(name)
+    if module is None:
         say(
             "numba is not installed: estimators run in NumPy, particle filters about 50 times "
             "slower; to install it: pip install numba"
         )
-
-
-def _compiling() -> str:
-    """The line printed when numba compiles; it names a cache folder other than the usual one."""
-    from aoabench.kernels.compile import KEPT
-
-    often = "once" if KEPT.folder else "each time"
-    place = f"; {KEPT.refused} cannot be written" if KEPT.refused else ""
-    place += f", the kernels are stored in {KEPT.folder}" if place and KEPT.folder else ""
-    return f"compiling kernels for this machine ({often}, about half a minute{place}) ..."
+        return
+    kernels = kernels_of(module, entries)
+    collected = _collected.get()
+    if collected is None:
+        _compile(kernels, say)
+    else:
+        collected += kernels
 
 
 @contextmanager
-def _reporting(say: Callable[[str], None]) -> Iterator[None]:
-    """Print the line of `_compiling` when numba first starts to compile in this context."""
+def together(say: Say) -> Iterator[None]:
+    """At the end of this context, compile or load all kernels that `prepare` was called for in it;
+    those that the disk cache lacks are compiled on several processors at once.
+    """
+    kernels: list[Any] = []
+    token = _collected.set(kernels)
     try:
-        from numba.core import event
-    except ImportError:
         yield
-        return
+    finally:
+        _collected.reset(token)
+    _compile(list(dict.fromkeys(kernels)), say)
+
+
+@contextmanager
+def ahead() -> Iterator[None]:
+    """Let other processes compile all kernels that the disk cache lacks while this context lasts;
+    whoever needs one of them meanwhile compiles it or waits until it is compiled.
+    """
+    modules = [module for name in _MODULES if (module := load(name))]
+    kernels = [kernel for module in modules for kernel in kernels_of(module)]
+    missing = [k for k in dict.fromkeys(kernels) if k.kept.folder is not None and not k.noted]
+    with helping([(k.module, k.name) for k in missing]):
+        yield
+
+
+def kernels_of(module: ModuleType, entries: Sequence[str] = ()) -> list[Any]:
+    """The kernels of a module with the names `entries`, or all; none if numba compiles nothing."""
+    from aoabench.kernels.compile import Kernel
+
+    names = entries or vars(module)
+    return [k for name in names if isinstance(k := getattr(module, name), Kernel)]
+
+
+def _compile(kernels: Sequence[Any], say: Say) -> None:
+    """Compile or load kernels, with the help of other processes if several were never compiled."""
+    missing = [kernel for kernel in kernels if not kernel.noted]
+    if missing:
+        say(_compiling(missing[0].kept))
+    others = [(k.module, k.name) for k in missing[1:] if k.kept.folder is not None]
+    with helping(others[::-1]), nullcontext() if missing else _reporting(say, kernels):
+        for kernel in kernels:
+            kernel.ready()
+
+
+def _compiling(kept: Kept) -> str:
+    """The line printed when numba compiles; it names a cache folder other than the usual one."""
+    often = "once" if kept.folder else "each time"
+    place = f"; {kept.refused} cannot be written" if kept.refused else ""
+    if place and kept.folder:
+        place += f", the kernels are stored in {kept.folder.parent}"
+    return f"compiling kernels for this machine ({often}, a quarter of a minute{place}) ..."
+
+
+@contextmanager
+def _reporting(say: Say, kernels: Sequence[Any]) -> Iterator[None]:
+    """Print the line of `_compiling` when numba compiles although all kernels are in the cache: for
+    another processor, say, or another version of numba.
+    """
+    from numba.core import event
 
     class Listener(event.Listener):
         reported = False
@@ -90,7 +150,7 @@ def _reporting(say: Callable[[str], None]) -> Iterator[None]:
         def on_start(self, event: object) -> None:
             if not self.reported:
                 self.reported = True
-                say(_compiling())
+                say(_compiling(kernels[0].kept))
 
         def on_end(self, event: object) -> None:
             pass

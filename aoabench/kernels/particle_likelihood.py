@@ -17,144 +17,159 @@ from numba.extending import intrinsic
 
 from aoabench.kernels.compile import inlined, kernel
 from aoabench.kernels.philox import TILE
-from aoabench.kernels.single import ONE, ZERO, arctan, as_float, as_int, f4, i4
+from aoabench.kernels.single import HALF, ZERO, arctan, as_float, as_int, f4, i4, inverse_root
 from aoabench.kernels.small import AZEL, UNIT_VECTOR
 
-PAIRS = 2 * 181  # entries of the table for AZEL_ADAPTIVE, twice; see `loglik`
-SCRATCH = 8 * TILE
+ROWS = 181  # of the table for AZEL_ADAPTIVE; see `loglik`
+SCRATCH = 7 * TILE
 TERMS = 15  # columns of the table of coefficients; see `loglik`
 
 FOUR, HALF_PI = f4(4.0), f4(math.pi / 2)
 TINY = f4(1e-30)  # m^2 or m: avoids 0 / 0 for a particle at an anchor or on its pole axis
-DEGREES, NINETY = f4(180.0 / math.pi), f4(90.0)
-_0, _180 = i4(0), i4(180)
+DEGREES, NINETY = f4(360.0 / math.pi), f4(90.0)  # of half angles
+_0, _2, _180 = i4(0), i4(2), i4(180)
+
+
+def _on_stack(kind: Any) -> Any:
+    """An intrinsic that gives a pointer to `size` numbers on the stack; no other pointer can reach
+    them, so that loops need no check for overlaps.
+    """
+
+    @intrinsic
+    def pointer(typingctx: Any, size: Any) -> Any:
+        if not isinstance(size, types.IntegerLiteral):
+            return None  # numba types the call again with the constant
+        n = size.literal_value
+
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            each = context.get_value_type(kind)
+            memory = cgutils.alloca_once(builder, ir.ArrayType(each, n))
+            memory.align = 64
+            return builder.bitcast(memory, each.as_pointer())
+
+        return types.CPointer(kind)(size), generate
+
+    return pointer
+
+
+stack, stack_f8, stack_i4 = (_on_stack(k) for k in (types.float32, types.float64, types.int32))
 
 
 @intrinsic
-def stack(typingctx: Any, size: Any) -> Any:
-    """Pointer to `size` float32 on the stack; no other pointer can reach them, so that loops need
-    no check for overlaps.
+def copy_row(typingctx: Any, table: Any, i: Any, target: Any, k: Any) -> Any:
+    """target[4 k] ... target[4 k + 3] = table[i] ... table[i + 3] by one load and one store, which
+    the compiler does not replace by gather instructions; these are several times slower.
     """
-    if not isinstance(size, types.IntegerLiteral):
-        return None  # numba types the call again with the constant
-    n = size.literal_value
+    row = ir.VectorType(ir.FloatType(), 4)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        memory = cgutils.alloca_once(builder, ir.ArrayType(ir.FloatType(), n))
-        memory.align = 64
-        return builder.bitcast(memory, ir.FloatType().as_pointer())
+        def at(m: int, index: Any) -> Any:
+            array = context.make_array(signature.args[m])(context, builder, args[m])
+            return builder.bitcast(builder.gep(array.data, [index]), row.as_pointer())
 
-    return types.CPointer(types.float32)(size), generate
-
-
-@intrinsic
-def copy_pair(typingctx: Any, source: Any, i: Any, target: Any, k: Any) -> Any:
-    """target[2 k], target[2 k + 1] = source[2 i], source[2 i + 1] in one access of 64 bits.
-
-    The load is atomic, so that the compiler does not replace it by gather instructions, which are
-    several times slower.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        pair = ir.IntType(64).as_pointer()
-        of = [
-            builder.bitcast(
-                context.make_array(signature.args[m])(context, builder, args[m]).data, pair
-            )
-            for m in (0, 2)
-        ]
-        value = builder.load_atomic(builder.gep(of[0], [args[1]]), "monotonic", 8)
-        builder.store(value, builder.gep(of[1], [args[3]]))
+        k4 = builder.shl(args[3], ir.Constant(args[3].type, 2))
+        builder.store(builder.load(at(0, args[1]), align=4), at(2, k4), align=4)
         return context.get_dummy_value()
 
-    return types.void(source, types.int32, target, types.intp), generate
+    return types.void(table, types.int32, target, types.intp), generate
 
 
 @inlined
-def first_quadrant(y, x):
-    """atan2(y, x) of y, x >= 0."""
-    a = arctan(min(y, x) / (max(y, x) + TINY))
-    return HALF_PI - a if y > x else a
+def place(r):
+    """Position and rotation of an anchor, or its measured direction, from a row of terms."""
+    return r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11]
 
 
 @inlined
-def turned(x, y, z, t, out):
-    """One tile's particles in the turned frame of the anchor with terms t, into the first three
-    tiles of out.
+def tangents(x, y, z, t):
+    """Tangents of half of |azimuth - measured| and of half of the elevation of one particle for
+    the anchor with terms t.
 
-    It has a loop of its own, because its constants and those of `angles` do not fit into the
-    registers together.
+    The azimuth's is folded to at most 1 and has the sign of u, the first coordinate in the turned
+    frame: below 0 stands for pi / 2 less the half angle.
     """
-    for i in range(TILE):
-        px, py, pz = x[i] - t[0], y[i] - t[1], z[i] - t[2]
-        out[i] = t[3] * px + t[4] * py + t[5] * pz
-        out[TILE + i] = t[6] * px + t[7] * py + t[8] * pz
-        out[2 * TILE + i] = t[9] * px + t[10] * py + t[11] * pz
+    px, py, pz = x - t[0], y - t[1], z - t[2]
+    u = t[3] * px + t[4] * py + t[5] * pz
+    v = t[6] * px + t[7] * py + t[8] * pz
+    w = t[9] * px + t[10] * py + t[11] * pz
+    square = u * u + v * v
+    rho, r = math.sqrt(square), math.sqrt(square + w * w)
+    return math.copysign(v / (rho + abs(u) + TINY), u), w / (rho + r + TINY)
 
 
 @inlined
-def angles(u, v, w):
-    """|azimuth - measured| / 2 and elevation, in rad, of one particle in the turned frame."""
-    rho = math.sqrt(u * u + v * v)
-    a = arctan(abs(v) / (rho + abs(u) + TINY))
-    e = first_quadrant(abs(w), rho)
-    return a if u >= ZERO else HALF_PI - a, math.copysign(e, w)
+def half_angles(a, e):
+    """|azimuth - measured| / 2 and elevation / 2, in rad, from `tangents`."""
+    half = arctan(abs(a))
+    return half if a >= ZERO else HALF_PI - half, arctan(e)
 
 
 @inlined
-def loglik_tile(kind, x, y, z, terms, table, out, scratch):
-    """Log likelihood of one step for one tile into out (TILE,); see `loglik`."""
+def azel(a, e, half, wa, we):
+    """Minus the log likelihood of one particle for one anchor, from its `tangents`."""
+    a, e = half_angles(a, e)
+    e -= half
+    return wa * a * a + we * e * e
+
+
+@inlined
+def azel_tile(x, y, z, terms, out, a, e):
+    """`loglik_tile` for AZEL; a, e (TILE,) are scratch.
+
+    A loop has the polynomials of one anchor and the roots and quotients of the next one, which the
+    processor computes at the same time.
+    """
+    t = place(terms[0])
     for i in range(TILE):
-        out[i] = ZERO
+        a[i], e[i] = tangents(x[i], y[i], z[i], t)
+    last = terms.shape[0] - 1
+    for j in range(last):
+        r, t = terms[j], place(terms[j + 1])
+        half, wa, we = HALF * r[12], FOUR * r[13], FOUR * r[14]
+        for i in range(TILE):
+            out[i] -= azel(a[i], e[i], half, wa, we)
+            a[i], e[i] = tangents(x[i], y[i], z[i], t)
+    r = terms[last]
+    half, wa, we = HALF * r[12], FOUR * r[13], FOUR * r[14]
+    for i in range(TILE):
+        out[i] -= azel(a[i], e[i], half, wa, we)
+
+
+@inlined
+def loglik_tile(kind, x, y, z, terms, table, start, out, scratch):
+    """Log likelihood of one step for one tile, plus `start`, into out (TILE,); see `loglik`."""
+    for i in range(TILE):
+        out[i] = start
+    if kind == AZEL:
+        azel_tile(x, y, z, terms, out, scratch[:TILE], scratch[TILE : 2 * TILE])
+        return
     for j in range(terms.shape[0]):
         r = terms[j]
-        t = (
-            r[0],
-            r[1],
-            r[2],
-            r[3],
-            r[4],
-            r[5],
-            r[6],
-            r[7],
-            r[8],
-            r[9],
-            r[10],
-            r[11],
-            r[12],
-            r[13],
-            r[14],
-        )
+        t = place(r)
         if kind == UNIT_VECTOR:
             for i in range(TILE):
                 px, py, pz = x[i] - t[0], y[i] - t[1], z[i] - t[2]
-                inverse = ONE / math.sqrt(px * px + py * py + pz * pz + TINY)
+                inverse = inverse_root(px * px + py * py + pz * pz + TINY)
                 ex, ey, ez = t[3] - px * inverse, t[4] - py * inverse, t[5] - pz * inverse
                 out[i] -= t[6] * (ex * ex + ey * ey + ez * ez)
-        elif kind == AZEL:
-            turned(x, y, z, t, scratch)
-            wa = FOUR * t[13]
-            for i in range(TILE):
-                a, e = angles(scratch[i], scratch[TILE + i], scratch[2 * TILE + i])
-                e -= t[12]
-                out[i] -= wa * a * a + t[14] * e * e
         else:
-            place = scratch[5 * TILE :]
-            turned(x, y, z, t, place)
+            ta, te = r[13], r[14]
+            half, rows = HALF * r[12], scratch[3 * TILE :]
             for i in range(TILE):
-                a, e = angles(place[i], place[TILE + i], place[2 * TILE + i])
-                scratch[i] = as_float(min(max(i4(np.rint(e * DEGREES + NINETY)), _0), _180))
-                e -= t[12]
+                rows[i], rows[TILE + i] = tangents(x[i], y[i], z[i], t)
+            for i in range(TILE):
+                a, e = half_angles(rows[i], rows[TILE + i])
+                degree = min(max(i4(np.rint(e * DEGREES + NINETY)), _0), _180)
+                scratch[i] = as_float(i4(degree << _2))
+                e -= half
                 scratch[TILE + i] = FOUR * a * a
-                scratch[2 * TILE + i] = e * e
-            weights, logs, half_logs = scratch[3 * TILE :], scratch[5 * TILE :], table[PAIRS:]
+                scratch[2 * TILE + i] = FOUR * e * e
             for i in range(TILE):
-                copy_pair(table, as_int(scratch[i]), weights, i)
-                copy_pair(half_logs, as_int(scratch[i]), logs, i)
+                copy_row(table, as_int(scratch[i]), rows, i)
             for i in range(TILE):
-                wa, we, la, le = weights[2 * i], weights[2 * i + 1], logs[2 * i], logs[2 * i + 1]
+                wa, we, la, le = rows[4 * i], rows[4 * i + 1], rows[4 * i + 2], rows[4 * i + 3]
                 a2, e2 = scratch[TILE + i], scratch[2 * TILE + i]
-                out[i] += t[13] * (la - wa * a2) + t[14] * (le - we * e2)
+                out[i] += ta * (la - wa * a2) + te * (le - we * e2)
 
 
 @kernel("void(i8, f4[::1], f4[::1], f4[::1], f4[:,::1], f4[::1], f4[::1])")
@@ -169,13 +184,12 @@ def loglik(kind, x, y, z, terms, table, out):
     - AZEL: the rotation into the anchor's frame turned by the measured azimuth, the measured
       elevation, 1 / (2 variance) of azimuth and of elevation
     - AZEL_ADAPTIVE: the same with 1 or 0 (measured or not) in place of each 1 / (2 variance);
-      `table` (4 x 181) holds the pairs of 1 / (2 variance) at elevations of -90, -89 ... 90
-      degrees, then half the logarithms of these.
+      `table` (4 ROWS,) holds, at elevations of -90, -89 ... 90 degrees, 1 / (2 variance) of
+      azimuth and of elevation, and half the logarithms of these.
     """
     tile, scratch = carray(stack(TILE), TILE), carray(stack(SCRATCH), SCRATCH)
     for o in range(0, len(x), TILE):
-        loglik_tile(
-            kind, x[o : o + TILE], y[o : o + TILE], z[o : o + TILE], terms, table, tile, scratch
-        )
+        s = slice(o, o + TILE)
+        loglik_tile(kind, x[s], y[s], z[s], terms, table, ZERO, tile, scratch)
         for i in range(TILE):
             out[o + i] = tile[i]

@@ -88,6 +88,13 @@ def normals(out, step, replication, k0, k1):
             z[q], x[r], y[r], z[r] = four_normals(first + u8(2), step, replication, k0, k1)
 
 
+@kernel("void(f4[:,:,::1], u8, u8, u8)")
+def draw(out, replication, k0, k1):
+    """Standard normals of the prior and of all steps of one replication into out (T + 1, 3, N)."""
+    for step in range(out.shape[0]):
+        normals(out[step], u8(step), replication, k0, k1)
+
+
 @kernel("f8(u8, u8, u8, u8)")
 def turn(step, replication, k0, k1):
     """One uniform in [0, 1) for the resampling after a step."""

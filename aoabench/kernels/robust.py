@@ -12,6 +12,7 @@ from numba import types
 
 from aoabench.kernels.angles import sine_cosine
 from aoabench.kernels.compile import called, given, inlined, kernel
+from aoabench.kernels.planes import SAME_PLACE, UNKNOWN, fill
 from aoabench.kernels.robust_likelihood import (
     LANES,
     NORMAL,
@@ -73,7 +74,7 @@ from aoabench.kernels.small import (
     inverse,
     solve,
 )
-from aoabench.kernels.snapshot import FAR, SAME_PLACE, UNKNOWN, fill
+from aoabench.kernels.snapshot import FAR
 
 
 @called

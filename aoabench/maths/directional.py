@@ -89,18 +89,21 @@ def vmf_covariance(mu: Array, kappa: ArrayLike) -> Array:
 
 
 def vmf_sample(rng: np.random.Generator, mu: Array, kappa: ArrayLike) -> Array:
-    """One draw (..., 3) for each mean direction mu (..., 3), kappa (...) > 0, by inverting the
-    cosine's distribution.
+    """One draw (..., 3) for each mean direction mu (..., 3), kappa (...) > 0."""
+    return vmf_turned(rng.random((2, *mu.shape[:-1])), mu, kappa)
 
-    With v uniform on [0, 1): 1 - cos(angle) = -log(1 - v (1 - exp(-2 kappa))) / kappa, accurate for
-    any kappa.
+
+def vmf_turned(v: Array, mu: Array, kappa: ArrayLike) -> Array:
+    """The draw (..., 3) about mu (..., 3), kappa (...) > 0, that belongs to numbers v (2, ...)
+    uniform on [0, 1): the cosine by the inverse of its distribution, and the rotation about mu.
+
+    1 - cos(angle) = -log(1 - v (1 - exp(-2 kappa))) / kappa, accurate for any kappa.
     """
-    shape = mu.shape[:-1]
     kappa = np.asarray(kappa, dtype=float)
-    one_minus_cos = -np.log1p(rng.random(shape) * np.expm1(-2.0 * kappa)) / kappa
+    one_minus_cos = -np.log1p(v[0] * np.expm1(-2.0 * kappa)) / kappa
     one_minus_cos = np.clip(one_minus_cos, 0.0, 2.0)
     sin = np.sqrt(one_minus_cos * (2.0 - one_minus_cos))
-    phi = 2 * np.pi * rng.random(shape)
+    phi = 2 * np.pi * v[1]
     e1, e2 = tangent_basis(mu)
     u = (
         (1.0 - one_minus_cos)[..., None] * mu

@@ -8,7 +8,7 @@ values are left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,9 +76,11 @@ def by_place(x: Array, place: np.ndarray | None) -> Array:
     """
     if place is None or np.array_equal(place, np.arange(x.shape[1])):
         return x
-    order = np.argsort(place, kind="stable")
-    starts = np.flatnonzero(np.diff(place[order], prepend=-1))
-    return np.add.reduceat(x[:, order], starts, axis=1)
+    if (np.diff(place) < 0).any():
+        order = np.argsort(place, kind="stable")
+        x, place = x[:, order], place[order]
+    starts = np.flatnonzero(np.diff(place, prepend=-1))
+    return np.add.reduceat(x, starts, axis=1, dtype=float)
 
 
 def share_error(hits: Array, tries: Array, place: np.ndarray | None = None) -> float:
@@ -88,13 +90,16 @@ def share_error(hits: Array, tries: Array, place: np.ndarray | None = None) -> f
     The replications are the independent units. With `place` they share their positions, which are
     units too: see statistics.crossed.
     """
-    n = max(float(tries.sum()), 1.0)
-    influence = (hits - tries * (hits.sum() / n)) / n
-    R = len(influence)
-    over = R / (R - 1) * float((influence.sum(axis=1) ** 2).sum()) if R > 1 else math.nan
+    if place is not None:  # a position in one replication is the smallest unit
+        hits, tries = by_place(hits, place), by_place(tries, place)
+    each, all_ = hits.sum(axis=1, dtype=float), tries.sum(axis=1, dtype=float)
+    n = max(float(all_.sum()), 1.0)
+    share = each.sum() / n
+    R = len(each)
+    over = R / (R - 1) * float((((each - share * all_) / n) ** 2).sum()) if R > 1 else math.nan
     if place is None:
         return math.sqrt(over)
-    cells = by_place(influence, place)
+    cells = (hits - share * tries) / n
     P = cells.shape[1]
     if P < 2:
         return math.nan
@@ -111,12 +116,12 @@ def share_interval(
     It is Wilson's interval for the number of independent tries that has this standard error; for a
     share of 0 or 1, which has no error of its own, this is the number of units.
     """
-    h, n = (np.asarray(x, dtype=float) for x in (hits, tries))
+    h, n = np.asarray(hits), np.asarray(tries)
     se = share_error(h, n, place)
     if math.isnan(se) or not n.sum() > 0:
         return NOTHING
     share = float(h.sum() / n.sum())
-    units = len(h) if place is None else by_place(h, place).shape[1]
+    units = len(h) if place is None else len(np.unique(place))
     equal = share * (1 - share) / se**2 if se > 0 else float(units)
     return rate_interval(share * equal, equal, confidence)
 
@@ -127,7 +132,17 @@ def cep_interval(
     place: np.ndarray | None = None,
     confidence: float = 0.95,
 ) -> Interval:
-    """Interval of a quantile of all fixes' errors (R, T) m (NaN: no fix), which depend on each
+    """Interval of one quantile of all fixes' errors; see `cep_intervals`."""
+    return cep_intervals(error, [probability], place, confidence)[0]
+
+
+def cep_intervals(
+    error: ArrayLike,
+    probabilities: Sequence[float],
+    place: np.ndarray | None = None,
+    confidence: float = 0.95,
+) -> list[Interval]:
+    """Intervals of quantiles of all fixes' errors (R, T) m (NaN: no fix), which depend on each
     other as in `share_error`.
 
     For horizontal errors this is the circular error probable, CEP50, CEP90 and so on. Woodruff's
@@ -138,15 +153,16 @@ def cep_interval(
     known = np.isfinite(e)
     pooled = e[known]
     if len(pooled) == 0:
-        return NOTHING
-    below = known & (e <= np.quantile(pooled, probability))
-    half = normal_quantile(confidence) * share_error(
-        below.astype(float), known.astype(float), place
+        return [NOTHING] * len(probabilities)
+    z = normal_quantile(confidence)
+    half = np.array(
+        [z * share_error(e <= q, known, place) for q in np.quantile(pooled, probabilities)]
     )
-    if math.isnan(half):
-        return NOTHING
-    low, high = np.quantile(pooled, np.clip([probability - half, probability + half], 0.0, 1.0))
-    return float(low), float(high)
+    if np.isnan(half).any():  # of all of them: there are too few units
+        return [NOTHING] * len(probabilities)
+    p = np.asarray(probabilities)
+    low, high = np.quantile(pooled, np.clip([p - half, p + half], 0.0, 1.0))
+    return list(zip(low.tolist(), high.tolist()))
 
 
 @dataclass(frozen=True)

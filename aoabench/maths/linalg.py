@@ -14,8 +14,12 @@ SINGULAR = 64 * EPS  # of the smallest eigenvalue relative to the trace: it is r
 ONE_PLACE = 1e-12  # of squared distances relative to the squared distances from the origin
 
 
+_CLEARLY = 1.001  # factor on a limit beyond which rounding does not matter
+BLOCK = 4096  # matrices at once, few enough for the processor's cache
+
+
 class _Factors(NamedTuple):
-    """A = L D L^T with a unit lower L, and whether A is positive definite beyond rounding."""
+    """A = L D L^T with a unit lower L, and whether A is certainly positive definite."""
 
     l10: Array
     l20: Array
@@ -26,12 +30,12 @@ class _Factors(NamedTuple):
     sound: np.ndarray
 
 
-def _factors(A: Array) -> _Factors:
+def _factors(A: Array, least: float = SINGULAR) -> _Factors:
     """Factors of each symmetric A (..., 3, 3).
 
     With eigenvalues p <= q <= r, the invariants e1 = p + q + r, e2 = p q + p r + q r and e3 = p q r
-    give e3 / e2 between p / 3 and p. A is taken as singular up to e3 = SINGULAR e1 e2. This rule
-    does not depend on the axes; a pivot's rounding error does.
+    give e3 / e2 between p / 3 and p. A is sound beyond e3 = least e1 e2, so that p > least r. This
+    rule does not depend on the axes; a pivot's rounding error does.
     """
     a00, a10, a11 = A[..., 0, 0], A[..., 1, 0], A[..., 1, 1]
     a20, a21, a22 = A[..., 2, 0], A[..., 2, 1], A[..., 2, 2]
@@ -43,7 +47,7 @@ def _factors(A: Array) -> _Factors:
         d2 = a22 - l20 * a20 - l21 * e
         e1 = a00 + a11 + a22
         e2 = (a00 * a11 - a10 * a10) + (a00 * a22 - a20 * a20) + (a11 * a22 - a21 * a21)
-        whole = a00 * d1 * d2 > SINGULAR * e1 * e2
+        whole = a00 * d1 * d2 > least * e1 * e2
     return _Factors(l10, l20, l21, a00, d1, d2, whole & (a00 > 0) & (d1 > 0) & (d2 > 0))
 
 
@@ -59,6 +63,39 @@ def solve(A: Array, g: Array) -> Array:
         y = y1 / f.d1 - f.l21 * z
         x = g[..., 0] / f.d0 - f.l10 * y - f.l20 * z
     return np.where(f.sound[..., None], np.stack([x, y, z], axis=-1), np.nan)
+
+
+def quadratic(A: Array, g: Array, least: float) -> Array:
+    """g^T A^-1 g (N,) of symmetric A (N, 3, 3) and g (N, 3), by Cholesky; NaN where A is not finite
+    or its smallest eigenvalue is not above `least` times the largest.
+    """
+    found = np.empty(len(A))
+    for start in range(0, len(A), BLOCK):
+        some = slice(start, start + BLOCK)
+        found[some] = _quadratic(A[some], g[some], least)
+    return found
+
+
+def _quadratic(A: Array, g: Array, least: float) -> Array:
+    f = _factors(A, _CLEARLY * least)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        sound = f.sound & np.isfinite(A[:, 0, 1] + A[:, 0, 2] + A[:, 1, 2])
+        y1 = g[:, 1] - f.l10 * g[:, 0]
+        y2 = g[:, 2] - f.l20 * g[:, 0] - f.l21 * y1
+        value = g[:, 0] * g[:, 0] / f.d0 + y1 * y1 / f.d1 + y2 * y2 / f.d2
+    if not sound.all():
+        doubtful = np.flatnonzero(~sound)
+        sound[doubtful] = _exceeds(A[doubtful], least)
+    return np.where(sound, value, np.nan)
+
+
+def _exceeds(A: Array, least: float) -> np.ndarray:
+    """Whether each symmetric A (K, 3, 3) is finite and its smallest eigenvalue exceeds `least`
+    times the largest.
+    """
+    finite = np.asarray(np.isfinite(A).all((-1, -2)))
+    spread = np.linalg.eigvalsh(np.where(finite[:, None, None], A, 0.0))
+    return np.asarray(spread[:, 0] > least * spread[:, -1])
 
 
 def inverse(A: Array) -> Array:

@@ -42,12 +42,33 @@ def from_influence(value: float, influence: Array, curve: float = 0.0) -> Estima
     if n < 2:
         return Estimate(value, math.nan, units=n)
     deviation = float(influence.std(ddof=1))
+    third = 0.0
+    if n > 2 and deviation > 0:
+        scaled = (influence - influence.mean()) / deviation
+        third = float((scaled * scaled * scaled).mean())
+    return _of_moments(n, value, deviation, third, curve)
+
+
+def _of_moments(n: int, value: float, deviation: float, third: float, curve: float) -> Estimate:
+    """An estimate from n >= 2 influences with a standard deviation and the mean of their third
+    powers in units of it; see `from_influence`.
+    """
     se = deviation / math.sqrt(n)
     skew = 1.5 * se * curve
-    if n > 2 and deviation > 0:
-        third = float((((influence - influence.mean()) / deviation) ** 3).mean())
+    if n > 2:
         skew += third * n**1.5 / ((n - 1) * (n - 2))  # unbiased third cumulant
     return Estimate(value, se, skew, n)
+
+
+def mean_of_sums(n: int, first: float, second: float, third: float) -> Estimate:
+    """Mean of n >= 2 values from the sums of their first three powers. It loses the digits by which
+    the mean exceeds the deviation.
+    """
+    value, square, cube = first / n, second / n, third / n
+    variance = max(square - value**2, 0.0) * n / (n - 1)
+    central = cube - 3 * value * square + 2 * value**3
+    scaled = central / variance**1.5 if variance > 0 else 0.0
+    return _of_moments(n, value, math.sqrt(variance), scaled, 0.0)
 
 
 def pooled_rmse(rmse: ArrayLike, fixes: ArrayLike | None = None) -> Estimate:

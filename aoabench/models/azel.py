@@ -45,21 +45,24 @@ class AzEl(Measurement):
         """Deviations (azimuth, elevation) in rad, or None for the measurements' own."""
         return None if self.sigma_deg is None else (math.radians(self.sigma_deg),) * 2
 
-    def observe(self, batch: Batch) -> tuple[Array, Array]:
-        """Azimuths and elevations (R, T, 2B) rad with their nominal variances (R, T, 2B) rad^2."""
-        y = interleave((batch.azimuth, batch.elevation))
+    def deviations(self, batch: Batch) -> tuple[Array, Array]:
+        """Nominal deviations (R|1, T|1, B) rad of azimuths and elevations."""
         own = self.sigmas()
         if own is not None:
-            r = np.tile(np.square(own), (*y.shape[:2], batch.azimuth.shape[2]))
-        elif batch.azimuth_sigma is None or batch.elevation_sigma is None:
+            azimuth, elevation = np.tile(np.reshape(own, (2, 1, 1, 1)), batch.azimuth.shape[2])
+            return azimuth, elevation
+        if batch.azimuth_sigma is None or batch.elevation_sigma is None:
             raise BadValue(
                 "sigma_deg",
                 None,
                 "a number, because these measurements do not state their deviations",
             )
-        else:
-            r = interleave((batch.azimuth_sigma, batch.elevation_sigma)) ** 2
-        return with_quality(y, r)
+        return batch.azimuth_sigma, batch.elevation_sigma
+
+    def observe(self, batch: Batch) -> tuple[Array, Array]:
+        """Azimuths and elevations (R, T, 2B) rad with their nominal variances (R, T, 2B) rad^2."""
+        y = interleave((batch.azimuth, batch.elevation))
+        return with_quality(y, interleave(self.deviations(batch)) ** 2)
 
     def predict(self, x: Array, anchors: Anchors) -> Array:
         """Azimuths and elevations (R, ..., 2B) rad of positions x (R, ..., n)."""

@@ -41,11 +41,13 @@ def over_measured(terms: Array, y: Array, x: Array) -> Array:
 
 
 def with_quality(y: Array, r: Array) -> tuple[Array, Array]:
-    """Values and variances (R, T, m); a value whose variance is not finite or not positive counts
-    as not measured, and a variance below LEAST_VARIANCE as that.
+    """Values and variances (R, T, m) from values (R, T, m) and variances (R|1, T|1, m); a value
+    whose variance is not finite or not positive counts as not measured, and a variance below
+    LEAST_VARIANCE as that. Variances that are the same in all replications or steps are stored
+    once, in a view.
     """
-    if (np.isfinite(r) & (r >= LEAST_VARIANCE)).all():
-        return y, r
-    usable = np.isfinite(r) & (r > 0)
-    r = np.maximum(np.where(usable, r, 1.0), LEAST_VARIANCE)
-    return np.where(usable, y, np.nan), r
+    if not (r.min() >= LEAST_VARIANCE and r.max() < np.inf):  # false for NaN
+        usable = np.isfinite(r) & (r > 0)
+        r = np.maximum(np.where(usable, r, 1.0), LEAST_VARIANCE)
+        y = np.where(usable, y, np.nan)
+    return y, np.broadcast_to(r, y.shape)

@@ -38,22 +38,29 @@ class UnitVector(Measurement):
         """Elevations, and stated deviations if the model has no kappa of its own."""
         return frozenset({"elevation"} | ({"stated_sigma"} if self.kappa is None else set()))
 
+    def deviations(self, batch: Batch) -> tuple[Array, Array]:
+        """Nominal deviations (R|1, T|1, B) rad of azimuths and elevations, or 1 / sqrt(kappa)."""
+        if self.kappa is not None:
+            own = np.full((1, 1, batch.azimuth.shape[2]), 1.0 / np.sqrt(self.kappa))
+            return own, own
+        if batch.azimuth_sigma is None:
+            raise BadValue(
+                "kappa", None, "a number, because these measurements do not state their deviations"
+            )
+        elevation = batch.elevation_sigma
+        return batch.azimuth_sigma, batch.azimuth_sigma if elevation is None else elevation
+
     def observe(self, batch: Batch) -> tuple[Array, Array]:
         """Unit vectors (R, T, 3B) and their nominal variances 1 / kappa (R, T, 3B), kappa at most
         1e15.
         """
         u = to_unit(batch.azimuth, batch.elevation)
-        u = u.reshape(*u.shape[:2], -1)
         if self.kappa is not None:
-            r = np.full(u.shape, 1.0 / self.kappa)
-        elif batch.azimuth_sigma is None:
-            raise BadValue(
-                "kappa", None, "a number, because these measurements do not state their deviations"
-            )
+            r = np.full((1, 1, batch.azimuth.shape[2]), 1.0 / self.kappa)
         else:
-            kappa = kappa_from_sigma(batch.azimuth_sigma, batch.elevation_sigma)
-            r = np.repeat(np.where(kappa < np.inf, 1.0 / np.minimum(kappa, KAPPA_MOST), 0.0), 3, -1)
-        return with_quality(u, r)
+            kappa = kappa_from_sigma(*self.deviations(batch))
+            r = np.where(kappa < np.inf, 1.0 / np.minimum(kappa, KAPPA_MOST), 0.0)
+        return with_quality(u.reshape(*u.shape[:2], -1), np.repeat(r, 3, -1))
 
     def predict(self, x: Array, anchors: Anchors) -> Array:
         """Unit vectors (R, ..., 3B) towards positions x (R, ..., n); 0 for a position at the anchor

@@ -8,6 +8,7 @@ uniform directions).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -21,9 +22,11 @@ from aoabench.maths.directional import (
     flipped_azimuth_std,
     flipped_elevation_moments,
     sigma_from_kappa,
-    vmf_sample,
+    vmf_turned,
 )
-from aoabench.maths.geometry import Array, in_frames, to_azel, to_unit, wrap
+from aoabench.maths.geometry import Array, to_azel, to_unit, wrap
+from aoabench.maths.places import at_anchors
+from aoabench.noise.links import links_of, shared
 from aoabench.noise.mounting import MountedNoise
 from aoabench.params import param
 from aoabench.roles import Scenario
@@ -79,23 +82,54 @@ class _Angular(MountedNoise):
         """Nominal concentration kappa = 1 / sigma^2."""
         return 1.0 / self.sigma**2 if self.kappa is None else float(self.kappa)
 
+    def draws(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+        """The random numbers (2, *shape) of measurements (*shape)."""
+        return rng.standard_normal((2, *shape))
+
+    def perturbed(self, e: Array, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+        """Noisy azimuth and elevation (...) rad from random numbers e (2, ...) and true azimuth and
+        elevation (...) rad.
+        """
+        raise NotImplementedError
+
     def perturb(
         self, rng: np.random.Generator, azimuth: Array, elevation: Array
     ) -> tuple[Array, Array]:
         """Noisy azimuth and elevation (...) rad from true azimuth and elevation (...) rad."""
-        raise NotImplementedError
+        return self.perturbed(self.draws(rng, azimuth.shape), azimuth, elevation)
 
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
         """Measurements (T, B) of true states (T, n), seen from the scenario's anchors."""
-        anchors, points = scenario.true_anchors, truth[:, :3]
-        local = in_frames(points[None], anchors.position, anchors.rotation)
-        azimuth, elevation = (a[0] for a in to_azel(*local))
-        azimuth, elevation = self.perturb(rng, azimuth, elevation)
+        tile, count = self.sample_tile([rng], scenario, truth[None]), scenario.true_anchors.count
+        numbers, arrays = tile.anchor_id, tile.arrays
+        if numbers is not None:
+            arrays = {name: at_anchors(a, numbers, count) for name, a in arrays.items()}
+        return Measurements(**{name: array[0] for name, array in arrays.items()})
+
+    def sample_tile(
+        self, rngs: Sequence[np.random.Generator], scenario: Scenario, truth: Array
+    ) -> Measurements:
+        """Measurements (R, T, K) of true states (R, T, n), seen from the anchors that measure."""
+        shape, count = truth.shape[:2], scenario.true_anchors.count
+        links = links_of(scenario, shared(truth[..., :3]))
+        every, free = links.numbers.shape[2] == count, links.numbers < 0
+        e = np.empty((2, *shape, links.numbers.shape[2]))
+        for i, rng in enumerate(rngs):
+            drawn = self.draws(rng, (shape[1], count))
+            own = links.numbers[i if len(links.numbers) > 1 else 0]
+            e[:, i] = drawn if every else np.take_along_axis(drawn, np.maximum(own, 0)[None], 2)
+        azimuth, elevation = self.perturbed(e, links.azimuth, links.elevation)
         quality = np.full(azimuth.shape, self.sigma)
-        heard = scenario.hears(points)
-        if heard is not None:
-            azimuth, elevation = (np.where(heard, a, np.nan) for a in (azimuth, elevation))
-        return Measurements(azimuth, elevation, azimuth_sigma=quality, elevation_sigma=quality)
+        if free.any():
+            azimuth, elevation = (np.where(free, np.nan, a) for a in (azimuth, elevation))
+            quality = quality if every else np.where(free, np.nan, quality)
+        return Measurements(
+            azimuth,
+            elevation,
+            azimuth_sigma=quality,
+            elevation_sigma=quality,
+            anchor_id=None if every else links.numbers,
+        )
 
     @property
     def calibration(self) -> Calibration:
@@ -150,10 +184,8 @@ class NormalAngles(_Angular):
     (4)].
     """
 
-    def perturb(
-        self, rng: np.random.Generator, azimuth: Array, elevation: Array
-    ) -> tuple[Array, Array]:
-        e = self.sigma * rng.standard_normal((2, *azimuth.shape))
+    def perturbed(self, e: Array, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+        e = self.sigma * e
         return wrap(azimuth + e[0]), elevation + e[1]
 
     def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
@@ -169,10 +201,8 @@ class FlippedAngles(_Angular):
 
     printed_fit_deg: ClassVar = (18.0, 10.0)  # [Nurminen 2018, Table I]
 
-    def perturb(
-        self, rng: np.random.Generator, azimuth: Array, elevation: Array
-    ) -> tuple[Array, Array]:
-        e = self.sigma * rng.standard_normal((2, *azimuth.shape))
+    def perturbed(self, e: Array, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+        e = self.sigma * e
         return flip(azimuth + e[0], elevation + e[1])
 
     def residual_rms(self, elevation: Array) -> tuple[Array, Array]:
@@ -189,10 +219,11 @@ class VonMisesFisher(_Angular):
 
     printed_fit_deg: ClassVar = (21.0, 10.0)  # samples give other deviations: erratum N12
 
-    def perturb(
-        self, rng: np.random.Generator, azimuth: Array, elevation: Array
-    ) -> tuple[Array, Array]:
-        u = vmf_sample(rng, to_unit(azimuth, elevation), self.concentration)
+    def draws(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+        return rng.random((2, *shape))
+
+    def perturbed(self, e: Array, azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+        u = vmf_turned(e, to_unit(azimuth, elevation), self.concentration)
         return to_azel(u[..., 0], u[..., 1], u[..., 2])
 
     def information(self, point: Array, anchors: Anchors) -> Array:

@@ -17,8 +17,8 @@ from aoabench.roles import Scenario
 class Links:
     """The links at T points of the target, each array (R|1, T, K).
 
-    numbers: of the anchors that hear the target, -1 for none; distance m; azimuth and elevation rad
-    in the anchor's frame.
+    numbers: of the anchors that hear the target, -1 for none; where K is the number of all anchors,
+    each has the place of its number. distance m; azimuth and elevation rad in the anchor's frame.
     """
 
     numbers: np.ndarray
@@ -57,18 +57,33 @@ class _Place:
 
 
 def links_of(scenario: Scenario, points: Array) -> Links:
-    """The links at points (R|1, T, 3) m; the last ones are kept, as all replications of a route
-    have the same.
+    """The links at points (R|1, T, 3) m. Those of points that all replications share are kept until
+    the next ones, as a route has the same in all tiles.
     """
-    return _links(_Place(scenario, points.copy()))
+    if len(points) > 1:
+        return _links(scenario, points)
+    return _kept(_Place(scenario, points.copy()))
 
 
 @lru_cache(maxsize=1)
-def _links(at: _Place) -> Links:
-    anchors, each = at.scenario.true_anchors, [at.scenario.hears(p) for p in at.points]
-    masks = [mask for mask in each if mask is not None]
-    every = np.ones((*at.points.shape[:2], anchors.count), dtype=bool)
-    numbers = numbers_of(np.stack(masks) if masks else every)
-    places = (at_places(a, numbers, 0.0) for a in (anchors.position, anchors.rotation))
-    x, y, z = in_frames(at.points, *places)
+def _kept(at: _Place) -> Links:
+    return _links(at.scenario, at.points)
+
+
+def _links(scenario: Scenario, points: Array) -> Links:
+    anchors, each = scenario.true_anchors, [scenario.hears(p) for p in points]
+    heard = [mask for mask in each if mask is not None]
+    position, rotation = anchors.position, anchors.rotation
+    if heard:
+        numbers = numbers_of(np.stack(heard))
+        position, rotation = (at_places(a, numbers, 0.0) for a in (position, rotation))
+    else:
+        numbers = np.tile(np.arange(anchors.count), (1, points.shape[1], 1))
+    x, y, z = in_frames(points, position, rotation)
     return Links(numbers, np.sqrt(x * x + y * y + z * z), *to_azel(x, y, z))
+
+
+def shared(points: Array) -> Array:
+    """The points (1, T, 3) if they are the same in all replications, else the points (R, T, 3)."""
+    same = points.strides[0] == 0 or all(np.array_equal(one, points[0]) for one in points[1:])
+    return points[:1] if same else points

@@ -28,6 +28,7 @@ import numpy as np
 
 from aoabench.maths.directional import flip
 from aoabench.maths.geometry import Array, to_azel
+from aoabench.noise.links import shared
 from aoabench.noise.mounting import MountedNoise
 from aoabench.params import param
 from aoabench.roles import Scenario
@@ -141,8 +142,28 @@ class BleMultipath(MountedNoise):
         The scenario's `day_of` gives the day of each step. Days beyond the list `disturbed`, and
         anchors beyond the lists `bias_scale` and `pull`, take the last number.
         """
-        point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
-        seat, day = seat.ravel(), scenario.day_of(len(truth))
+        return self._sampled(rng, scenario, truth, *_places(truth))
+
+    def sample_tile(
+        self, rngs: Sequence[np.random.Generator], scenario: Scenario, truth: Array
+    ) -> Measurements:
+        """Measurements (R, T, B) of true states (R, T, n)."""
+        if len(shared(truth[..., :3])) > 1:
+            return super().sample_tile(rngs, scenario, truth)
+        places = _places(truth[0])
+        each = [self._sampled(rng, scenario, truth[0], *places) for rng in rngs]
+        return Measurements.stacked(each)
+
+    def _sampled(
+        self,
+        rng: np.random.Generator,
+        scenario: Scenario,
+        truth: Array,
+        point: Array,
+        seat: np.ndarray,
+    ) -> Measurements:
+        """`sample` of true states (T, n) at points (P, 3) m, `seat` (T,) being their indices."""
+        day = scenario.day_of(len(truth))
         T, B = len(truth), scenario.true_anchors.count
         # the draws do not depend on the parameters, so that runs with other parameters are paired
         channel = self._channel(rng, point, B, int(day.max()) + 1)
@@ -225,6 +246,12 @@ class BleMultipath(MountedNoise):
         for i, (axis, side) in enumerate(((0, low[0]), (0, high[0]), (1, low[1]), (1, high[1]))):
             mirror[:, :, i, axis] = 2 * side - mirror[:, :, i, axis]
         return np.take_along_axis(mirror, walls.argmax(axis=-1)[..., None, None], axis=2)[:, :, 0]
+
+
+def _places(truth: Array) -> tuple[Array, np.ndarray]:
+    """The different points (P, 3) m of true states (T, n), and the index (T,) of each state's."""
+    point, seat = np.unique(truth[:, :3], axis=0, return_inverse=True)
+    return point, seat.ravel()
 
 
 def _each(values: Sequence[float], count: int) -> Array:

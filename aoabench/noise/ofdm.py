@@ -23,7 +23,7 @@ import numpy as np
 
 from aoabench.maths.geometry import LIGHT, Array, wrap
 from aoabench.maths.places import at_anchors
-from aoabench.noise.links import Links, links_of
+from aoabench.noise.links import Links, links_of, shared
 from aoabench.noise.mounting import MountedNoise
 from aoabench.params import param
 from aoabench.roles import Scenario
@@ -154,9 +154,7 @@ class OfdmCrlb(MountedNoise):
         self, rngs: Sequence[np.random.Generator], scenario: Scenario, truth: Array
     ) -> Measurements:
         """Measurements (R, T, K) of the ANs that hear the target at true states (R, T, n)."""
-        points = truth[..., :3]
-        if (points[1:] == points[:1]).all():
-            points = points[:1]
+        points = shared(truth[..., :3])
         links = links_of(scenario, points)
         every = links.numbers.shape[2] == scenario.true_anchors.count
         found = self._measured(rngs, links, points)

@@ -176,20 +176,18 @@ class IndoorMap(Scenario):
         """Mask (N, B) of the ANs in line of sight of each point (N, 3) m: no wall crosses the
         straight line, seen from above; of a wall that it stands on, an AN sees the side it faces.
         """
-        return self._route_sight if self._is_route(points) else self._sight(points)
+        return self._plan.in_sight(points)
 
     def hears(self, points: Array) -> np.ndarray:
         """Mask (N, B) of the ANs that report a target at each point (N, 3) m: the nearest of the
         ANs in line of sight.
         """
-        return (
-            self._route_reported
-            if self._is_route(points)
-            else self._nearest(points, self._sight(points))
-        )
+        return self._route_reported if self._is_route(points) else self._reported(points)
 
-    def _sight(self, points: Array) -> np.ndarray:
-        return self._plan.in_sight(points)
+    def _reported(self, points: Array) -> np.ndarray:
+        if self.nearest is None or self.nearest >= self.true_anchors.count:
+            return self._plan.in_sight(points)
+        return self._plan.nearest_in_sight(points, self.nearest)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -208,21 +206,6 @@ class IndoorMap(Scenario):
         )
         return BadValue("route", self.route, allowed)
 
-    def _nearest(self, points: Array, seen: np.ndarray) -> np.ndarray:
-        """Mask (N, B) of the nearest ANs in `seen` (N, B); ties go to the first in the file."""
-        B = seen.shape[1]
-        if self.nearest is None or self.nearest >= B:
-            return seen
-        squared = sum(
-            (points[:, None, i] - self.true_anchors.position[0, :, :, i]) ** 2 for i in range(3)
-        )
-        order = np.argsort(np.where(seen, squared, np.inf), axis=1, kind="stable")[
-            :, : self.nearest
-        ]
-        chosen = np.zeros_like(seen)
-        np.put_along_axis(chosen, order, True, axis=1)
-        return chosen & seen
-
     def _is_route(self, points: Array) -> bool:
         """Whether `points` are the route's points, whose tables are cached because all replications
         have the same route.
@@ -230,12 +213,16 @@ class IndoorMap(Scenario):
         return self.truth_from == "route" and np.array_equal(points, self._route_truth[:, :3])
 
     @cached_property
-    def _route_sight(self) -> np.ndarray:
-        return self._sight(self._route_truth[:, :3])
-
-    @cached_property
     def _route_reported(self) -> np.ndarray:
-        return self._nearest(self._route_truth[:, :3], self._route_sight)
+        return self._reported(self._route_truth[:, :3])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields and tables, so that the lines of sight of the route are found once for all
+        processes.
+        """
+        if self.truth_from == "route":
+            _ = self._route_reported
+        return dict(vars(self))
 
     # --- the route --------------------------------------------------------------------------------
 

@@ -35,16 +35,15 @@ def accuracy(errors: Errors | None, n_ok: ArrayLike, n_fixes: ArrayLike) -> dict
     if errors is None:
         ok, all_ = (np.asarray(n, dtype=float)[:, None] for n in (n_ok, n_fixes))
         return _share("availability", ok, all_, None)
-    place, all_ = errors.place, np.ones(errors.ok.shape)
-    found = _share("availability", errors.ok.astype(float), all_, place)
+    place, all_ = errors.place, np.ones(errors.ok.shape, dtype=bool)
+    found = _share("availability", errors.ok, all_, place)
     for limit in WITHIN_M:
-        hits = (errors.xy <= limit).astype(float)
-        found |= _share(f"p_within_{limit}m", hits, all_, place)
+        found |= _share(f"p_within_{limit}m", errors.xy <= limit, all_, place)
     for columns, error in ((CEP, errors.xy), (ERROR_Z, np.abs(errors.z))):
-        for name, probability in columns.items():
-            known = error[np.isfinite(error)]
-            if len(known):
-                ends = intervals.cep_interval(error, probability, place)
+        known = error[np.isfinite(error)]
+        if len(known):
+            each = intervals.cep_intervals(error, list(columns.values()), place)
+            for (name, probability), ends in zip(columns.items(), each):
                 found |= _three(name, float(np.quantile(known, probability)), ends)
     return found
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +58,7 @@ class Fixes:
     @property
     def accepted(self) -> np.ndarray:
         """Whether a fix has a position with a known error (R, T)."""
-        usable = ~np.isin(self.outcome, [Outcome.FAILED, Outcome.REJECTED])
+        usable = (self.outcome != Outcome.FAILED) & (self.outcome != Outcome.REJECTED)
         return np.asarray(usable & np.isfinite(self.error_xy_m))
 
 
@@ -78,6 +79,34 @@ def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
     return Fixes(
         **{n: None if any(a is None for a in v) else np.concatenate(v) for n, v in each.items()}  # type: ignore[arg-type]
     )
+
+
+class Read(Mapping[str, Fixes]):
+    """The fixes of the first `count` replications by estimator, read when they are first asked for
+    by `reader` (`fixes` or `steps`) from one cell of the run in `out`.
+    """
+
+    def __init__(
+        self,
+        reader: Callable[[Path, str, str], Fixes],
+        out: Path,
+        cell: str,
+        estimators: Iterable[str],
+        count: int,
+    ) -> None:
+        self._names = tuple(estimators)
+        self._read = cache(lambda name: reader(out, cell, name).first(count))
+
+    def __getitem__(self, name: str) -> Fixes:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._read(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 _OF_STEPS = ("error_3d_m", "error_xy_m", "score", "anchors_used")

@@ -33,6 +33,7 @@ _HARMLESS = (
     *(types.ModuleType, types.GenericAlias, types.MemberDescriptorType, logging.Logger, _FIELD),
 )
 _MACHINERY = ("_abc_impl", "_fields", "_field_defaults", "_is_protocol")  # Python's own
+_OF_NUMBA = ("numba.", "aoabench.kernels.compile")  # their objects hold a function as `py_func`
 
 
 class NotPlain(Exception):
@@ -109,7 +110,9 @@ def _importable(value: Any, name: str) -> str:
 
 
 def function_in(value: Any) -> Any:
-    """The function inside what decorators of Python and numba make of one, or the value itself."""
+    """The function inside what decorators of Python, numba and kernels make of one, or the value
+    itself.
+    """
     while True:
         if isinstance(value, staticmethod | classmethod | types.MethodType):
             value = value.__func__
@@ -119,7 +122,7 @@ def function_in(value: Any) -> Any:
             value = value.func
         elif isinstance(value, functools._lru_cache_wrapper):
             value = value.__wrapped__
-        elif type(value).__module__.startswith("numba."):
+        elif type(value).__module__.startswith(_OF_NUMBA):
             return getattr(value, "py_func", value)
         else:
             return value

@@ -20,7 +20,7 @@ from aoabench.store.files import WRITING, provenance, save, schema, write_atomic
 from aoabench.store.fixes import facts_of
 from aoabench.store.folder import noted_parts, replay_command
 from aoabench.store.parts import Part, intact_parts
-from aoabench.store.summary import commonest, summarise
+from aoabench.store.summary import commonest_of_each, summarise
 from aoabench.types import SENTENCES, Reason
 
 if TYPE_CHECKING:
@@ -148,8 +148,7 @@ class CellRows:
         messages = folder.errors(parts, self.entries[name]["reps"])
         why: dict[int, str] = {}
         if reasons is not None:
-            groups = reasons[reasons["outcome"] == "failed"].groupby("replication")
-            why = {some["replication"].iloc[0]: commonest(some)[0] for _, some in groups}
+            why = commonest_of_each(reasons[reasons["outcome"] == "failed"])
         columns = [c for c in FAILURES if c not in ("reason", "sentence", "error", "replay")]
         config, plugins = json.loads(self.row["config"]), json.loads(self.row["plugins"])
         found = []

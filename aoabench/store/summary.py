@@ -69,6 +69,13 @@ def commonest(reasons: pd.DataFrame) -> tuple[str, int]:
     return str(count.idxmax()), int(count.max())
 
 
+def commonest_of_each(reasons: pd.DataFrame) -> dict[int, str]:
+    """The commonest of the `reasons` of one outcome by replication, as `commonest` chooses it."""
+    order = reasons.sort_values(["replication", "n", "reason"], ascending=[True, False, True])
+    first = order.drop_duplicates("replication")
+    return dict(zip(first["replication"].tolist(), first["reason"].tolist()))
+
+
 def _two(name: str, estimate: Estimate) -> dict[str, float]:
     return {name: estimate.value, f"{name}_se": estimate.se}
 

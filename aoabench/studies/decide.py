@@ -74,7 +74,8 @@ def _need(s: Study, item: Item, wanted: list[tuple[str, float]], results: Path) 
     """The need of an item, from its undecided claims with the replications that each needs."""
     content = stored.read(s, item, results)
     reps = math.ceil(MARGIN * max(content.reps, *(needed for _, needed in wanted)))
-    most = math.floor(statements.BEYOND * item.paper_reps)
+    study_reps = content.reps if math.isnan(item.paper_reps) else item.paper_reps
+    most = math.floor(statements.BEYOND * study_reps)
     seconds = float(content.origin.get("seconds", 0.0)) * reps / content.reps
     names = tuple(dict.fromkeys(claim for claim, _ in wanted))
     return Need(s, item, min(reps, most), int(content.reps), seconds, names)

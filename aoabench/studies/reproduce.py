@@ -9,29 +9,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from aoabench.cell import Cell
-from aoabench.config.compose import compose_cells
-from aoabench.config.overrides import file_setting
-from aoabench.engine import runner
 from aoabench.engine.faults import writable
 from aoabench.errors import UserError
+from aoabench.kernels.loading import ahead
 from aoabench.resources import committing
-from aoabench.store import tables
 from aoabench.store.files import provenance, write_frame
-from aoabench.store.fixes import Fixes, fixes, steps
 from aoabench.studies import findings, page, progress, screen, statements, stored, study
 from aoabench.studies.choice import Pair, cheapest_first, chosen
+from aoabench.studies.computing import Runs, compute
 from aoabench.studies.decide import needs
 from aoabench.studies.places import Places, of_scale
 from aoabench.studies.statements import Verdicts
 
 Echo = Callable[[str], None]
 README = Path("README.md")
-_READERS = {"fixes": fixes, "steps": steps}
 
 
 @dataclass(frozen=True)
@@ -83,14 +79,17 @@ def reproduce(
     pace = progress.Pace(pairs, expected)
     computed: list[dict[str, Any]] = []
     problems: dict[tuple[str, str], str] = {}
-    for s, item in pairs:
-        title = f"{s.name} {item.name} ({pace.text()})"
-        row = _compute_table(s, item, scale, places, fresh, title)
-        pace.done(row["seconds"])
-        computed.append(row)
-        rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s ({scale})"
-        echo(f"{rows}; {pace.text()}")
-        problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
+    runs = Runs(places.raw, fresh)
+    everything = only is None and not names
+    with ahead() if everything else nullcontext():
+        for s, item in pairs:
+            title = f"{s.name} {item.name} ({pace.text()})"
+            row = _compute_table(s, item, scale, places, runs, title)
+            pace.done(row["seconds"])
+            computed.append(row)
+            rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s ({scale})"
+            echo(f"{rows}; {pace.text()}")
+            problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
     if committing():
         progress.note(scale, computed)
     return Reproduced(computed, _conclude(pairs, problems, places, echo, every))
@@ -113,6 +112,7 @@ def decide(
     """
     pairs = chosen(names, only, all_studies())
     writable(str(places.results), "--results")
+    runs = Runs(places.raw)
     computed: list[dict[str, Any]] = []
     problems: dict[tuple[str, str], str] = {}
     begin = time.perf_counter()
@@ -126,7 +126,7 @@ def decide(
         echo(f"{s.name} {item.name}: N = {reps} instead of {fits[0].stored} for "
              f"{', '.join(fits[0].claims)}; {progress.duration(fits[0].expected_s)}")  # fmt: skip
         title = f"{s.name} {item.name}, N = {reps}"
-        computed.append(_compute_table(s, item, "paper", places, False, title, reps))
+        computed.append(_compute_table(s, item, "paper", places, runs, title, reps))
         problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
     for need in wanted.items:
         echo(f"{', '.join(need.claims)}: N = {need.reps} takes about "
@@ -141,64 +141,17 @@ def _compute_table(
     item: study.Item,
     scale: str,
     places: Places,
-    fresh: bool,
+    runs: Runs,
     title: str,
     reps: int | None = None,
 ) -> dict[str, Any]:
     """Compute and store the table of an item; return its study, item, rows and seconds."""
     begin = time.perf_counter()
-    frame, origin = compute(s, item, scale, places.raw, fresh, title, reps)
+    frame, origin = compute(s, item, scale, runs, title, reps)
     seconds = round(time.perf_counter() - begin, 2)
     origin = {**provenance(origin), "scale": scale, "seconds": seconds}
     write_frame(study.table_path(places.results, s, item), frame, origin)
     return {"study": s.name, "item": item.name, "rows": len(frame), "seconds": seconds}
-
-
-def compute(
-    s: study.Study,
-    item: study.Item,
-    scale: str,
-    raw: Path,
-    fresh: bool = False,
-    title: str = "replications",
-    reps: int | None = None,
-) -> tuple[Any, Any]:
-    """The table (a frame) of one item, and the config that it came from. Replications lie in the
-    folder of the study under `raw`; `title` stands before the progress bar; `reps` replaces the
-    number of replications of the scale.
-    """
-    reduce = getattr(s.numbers, item.name)
-    if item.experiment is None:
-        with progress.shown(title):
-            return reduce(scale), {
-                "function": study.code_of(s, reduce),
-                "scale": scale,
-            }
-    out = raw / s.name  # one folder a study, so that its items share cells
-    overrides = [*item.scale[scale], *([] if reps is None else [f"reps={reps}"])]
-    cells = compose_cells(
-        [f"experiment={item.experiment}", *overrides, file_setting("runner.out", out)]
-    )
-    runner.run(cells, title, fresh)
-    origin = {
-        "experiment": item.experiment,
-        "cells": [c.config for c in cells],
-        "reps": max(c.reps for c in cells),
-    }
-    with progress.shown(title):
-        if item.reads in _READERS:
-            reader = _READERS[item.reads]
-            found = ((c, _fixes_of(c, reader, out)) for c in cells)
-            return reduce(found), origin
-        frame = tables.load(out)
-        wanted = {(c.id, name): c.reps for c in cells for name in c.estimators}
-        kept = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
-        return reduce(frame[frame["replication"] < kept]), origin
-
-
-def _fixes_of(cell: Cell, reader: Callable[..., Fixes], out: Path) -> dict[str, Fixes]:
-    """The fixes of a cell's replications by estimator."""
-    return {name: reader(out, cell.id, name).first(cell.reps) for name in cell.estimators}
 
 
 def draw(

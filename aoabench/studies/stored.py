@@ -76,14 +76,33 @@ class Stored:
         return str(self.origin.get("scale", ""))
 
 
+_read_before: dict[Path, tuple[Any, Stored]] = {}  # by table, with what the content depends on
+
+
 def read(study: Study, item: Item, results: Path) -> Stored:
-    """Read an item's stored table; for a table of another version, only `problem` is set."""
-    path = table_path(results, study, item)
-    if not path.exists():
+    """Read an item's stored table; for a table of another version, only `problem` is set. The
+    content is kept, and not read again while the file is the same.
+    """
+    path = table_path(results, study, item).absolute()
+    try:
+        status = path.stat()
+    except OSError:
         return Stored(False, {})
+    state = status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
+    functions = [getattr(study.figures, f"{item.name}_{n}", None) for n in ("values", "table")]
+    known = state, functions, item
+    before, content = _read_before.get(path, (None, None))
+    if content is None or before != known:
+        content = _read(study, item, results)
+        _read_before[path] = known, content
+    return content
+
+
+def _read(study: Study, item: Item, results: Path) -> Stored:
+    """The content of a table that is present."""
     try:
         frame = table(results, study, item)
-        origin = read_provenance(path)
+        origin = read_provenance(table_path(results, study, item))
         found: dict[str, Any] = getattr(study.figures, f"{item.name}_values", lambda _: {})(frame)
         shown = getattr(study.figures, f"{item.name}_table", lambda _: None)(frame)
     except _UNFIT:

@@ -1,5 +1,6 @@
 """The bench: what is shown is what was measured, and libraries that are missing are left out."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pandas as pd
 import pytest
 
 from aoabench.engine.tiles import Draws
-from benchmarks import filters, kernels, peers, show, snapshots
+from benchmarks import cost, filters, harness, kernels, peers, show, snapshots
 from benchmarks.__main__ import PAGE, PARTS, merged
 from benchmarks.timing import Laps, both_engines, cell_of, in_turn
 
@@ -99,7 +100,7 @@ def test_libraries_that_are_not_installed_are_left_out(monkeypatch):
     assert peers.available(None, None, 0.1, 10) == {}
 
 
-@pytest.mark.parametrize("name", ["stonesoup", "filterpy"])
+@pytest.mark.parametrize("name", ["stonesoup", "filterpy", "particles", "jax"])
 def test_other_libraries_do_the_same_work(name):
     """EKF: our positions. UKF: our RMSE within 1 %. PF: within four of its own deviations, 0.13 m."""
     pytest.importorskip(name)
@@ -114,6 +115,8 @@ def test_other_libraries_do_the_same_work(name):
         return np.sqrt(np.mean(np.sum((position - truth[0, :, :3]) ** 2, axis=-1)))
 
     for kind, estimator in kinds.items():
+        if kind not in theirs:
+            continue
         lap = Laps(cell, estimator, tiles=1)
         ours = lap.estimator(lap.batches[0], cell.scenario, lap.streams[0]).position[0]
         position = theirs[kind]()
@@ -121,3 +124,40 @@ def test_other_libraries_do_the_same_work(name):
             assert np.allclose(position, ours, atol=1e-6)
         tolerance = 4 * 0.13 if kind == "PF" else 0.01 * rmse(ours)
         assert rmse(position) == pytest.approx(rmse(ours), abs=tolerance), kind
+
+
+@pytest.mark.parametrize("power", [1.0, 0.5, 2.0])
+def test_a_slope_is_the_power_of_the_upper_half(power):
+    sizes = np.array([1.0, 10.0, 100.0, 1000.0])
+    values = 3 * sizes**power
+    values[0] = 50.0  # a fixed cost hides the smallest size
+    assert cost.slope_of(sizes, values) == pytest.approx(power)
+
+
+def test_the_cost_over_the_number_of_particles_has_a_row_for_each_size(monkeypatch, tmp_path):
+    pytest.importorskip("numba")
+    monkeypatch.setattr(cost, "PARTICLES", (10, 20, 40))
+    rows = list(cost._sizes("particles", cost._particles(), "how"))
+    sizes = [row for row in rows if row.what.endswith("in sizes")]
+    assert [row.detail for row in sizes[:3]] == ["pf_vmf, 10", "pf_vmf, 20", "pf_vmf, 40"]
+    assert len(rows) == len(sizes) + 2
+    cost.draw(pd.DataFrame([asdict(row) for row in rows]), tmp_path / "cost.png")
+    assert (tmp_path / "cost.png").stat().st_size > 1000
+
+
+def test_the_harness_names_the_functions_that_cost_most():
+    cell = cell_of("noise=vmf", own={"own": harness.nothing})
+    text = harness._most(harness._block(cell, 2))
+    assert text.count("%") == harness.SHOWN
+    shares = [int(part.split()[-2]) for part in text.split(", ")]
+    assert shares == sorted(shares, reverse=True)
+    assert sum(shares) <= 100
+
+
+def test_a_row_stands_beside_its_value_before():
+    def of(value):
+        columns = {"what": "a", "detail": "b", "value": value, "unit": "s", "target": "", "how": ""}
+        return pd.DataFrame([columns])
+
+    assert show.markdown(of(1.0), of(2.0)).splitlines()[-1] == "| a | b | 2 s | 1 s |  |  |"
+    assert show.markdown(of(1.0)).splitlines()[-1] == "| a | b |  | 1 s |  |  |"

@@ -90,8 +90,6 @@ def test_anchors_may_move_from_step_to_step(group, name):
     anchors at each step is that of each step alone.
     """
     estimator, draws, truth, batch = setting(group, name)
-    if name.startswith("pf_"):  # without a kernel for moving anchors, the draws are NumPy's
-        estimator = replace(estimator, engine="numpy")
     T = 12
     short = shortened(batch, T)
     still = {n: np.repeat(array, T, axis=1) for n, array in short.anchors.arrays.items()}

@@ -29,7 +29,8 @@ WINGS = [
     ("roles",),
     ("params",),
     ("types", "errors"),
-    ("streams", "maths", "resources", "columns", "loaded"),
+    ("streams",),
+    ("maths", "resources", "columns", "loaded"),
 ]
 RANK = {room: rank for rank, rooms in enumerate(WINGS) for room in rooms}
 

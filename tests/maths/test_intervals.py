@@ -187,6 +187,35 @@ def test_cep_intervals_count_what_a_replication_shares():
     assert max(inside[1:]) / 400 < 0.9
 
 
+def test_intervals_of_several_quantiles_are_those_of_each(rng):
+    """Also of errors in single precision, whose quantiles are taken in double precision."""
+    e = np.where(rng.random((9, 40)) < 0.1, np.nan, rng.rayleigh(1.0, (9, 40)))
+    for error, place in ((e, None), (e, rng.permutation(40) % 7), (e.astype(np.float32), None)):
+        found = intervals.cep_intervals(error, [0.1, 0.5, 0.9], place)
+        for p, ends in zip((0.1, 0.5, 0.9), found):
+            known = np.isfinite(error)
+            below = (error <= np.quantile(error[known].astype(float), p)).astype(float)
+            se = intervals.share_error(below, known.astype(float), place)
+            levels = np.clip([p - 1.959964 * se, p + 1.959964 * se], 0, 1)
+            assert ends == pytest.approx(np.quantile(error[known].astype(float), levels), rel=1e-6)
+            assert intervals.cep_interval(error, p, place) == ends
+
+
+def test_the_error_of_a_share_is_that_of_plain_influences(rng):
+    """Of each fix on the share, summed over the fixes of a unit; places come in any order."""
+    tries = rng.random((8, 24)) < 0.8
+    hits, place = tries & (rng.random((8, 24)) < 0.4), rng.permutation(np.arange(24) % 6)
+    n, share = tries.sum(), hits.sum() / tries.sum()
+    influence = (hits - share * tries) / n
+    over = 8 / 7 * sum(influence[r].sum() ** 2 for r in range(8))
+    assert intervals.share_error(hits, tries) == pytest.approx(np.sqrt(over))
+    cells = np.array([[influence[r, place == p].sum() for p in range(6)] for r in range(8)])
+    square = 6 / 5 * (cells.sum(axis=0) ** 2).sum() + max(over - (cells**2).sum(), 0)
+    for kind in (bool, float):
+        found = intervals.share_error(hits.astype(kind), tries.astype(kind), place)
+        assert found == pytest.approx(np.sqrt(square))
+
+
 def test_packets_of_one_position_are_one_unit():
     rng = np.random.default_rng(15)
     e, place = rng.rayleigh(1.0, (5, 30)), np.repeat(np.arange(10), 3)

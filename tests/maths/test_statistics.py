@@ -16,7 +16,7 @@ from aoabench.columns import IDENTITY, SUMMARY
 from aoabench.maths import statistics
 from aoabench.maths.estimate import Estimate
 from aoabench.store.clusters import Clusters, influences, position_sums
-from aoabench.store.summary import QUANTILES, summarise
+from aoabench.store.summary import QUANTILES, commonest, commonest_of_each, summarise
 
 
 def spread(estimator, draw, repeats=2000, seed=1):
@@ -65,6 +65,21 @@ def test_quantile_error_does_not_cancel():
     assert statistics.quantile(x, 0.5).se == pytest.approx(
         statistics.quantile(x - 1e6, 0.5).se, rel=1e-3
     )
+
+
+@pytest.mark.parametrize("shape", [0.5, 3.0, 50.0])
+def test_a_mean_of_sums_of_powers_is_that_of_the_values(shape, rng):
+    """Its skewness is that of SciPy divided by the root of N."""
+    x = rng.gamma(shape, 2.0, 5_000)
+    found, mean = (
+        statistics.mean_of_sums(len(x), x.sum(), (x**2).sum(), (x**3).sum()),
+        statistics.mean(x),
+    )
+    assert (found.value, found.se) == pytest.approx((mean.value, mean.se), rel=1e-12, abs=0)
+    skew = stats.skew(x, bias=False) / math.sqrt(len(x))
+    assert (found.skew, mean.skew) == pytest.approx((skew, skew), rel=1e-8, abs=0)
+    assert found.units == len(x)
+    assert statistics.mean_of_sums(4, 8.0, 16.0, 32.0) == Estimate(2.0, 0.0, 0.0, 4)
 
 
 def test_pooled_rmse_weighs_fixes():
@@ -396,3 +411,15 @@ def test_packets_of_one_position_are_one_cluster(rng):
         for at in (place, None)
     )
     assert grouped > 1.3 * alone
+
+
+def test_the_commonest_reason_of_each_replication_is_that_of_its_rows(rng):
+    """Few different counts and reasons, so that many are equally common."""
+    names = np.array(["behind", "innovations", "no_agreement", "covariance"])
+    rows = pd.DataFrame(
+        [(r, name, rng.integers(1, 4)) for r in range(40) for name in rng.permutation(names)[:3]],
+        columns=["replication", "reason", "n"],
+    )
+    plain = {int(r): commonest(some)[0] for r, some in rows.groupby("replication")}
+    assert commonest_of_each(rows) == plain
+    assert commonest_of_each(rows[:0]) == {}

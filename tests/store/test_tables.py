@@ -72,6 +72,19 @@ def test_packets_of_one_position_are_one_cluster_in_the_summary(tmp_path):
         assert summary[f"p_within_{limit}m"] == (errors <= limit).mean()
     square = found.totals[0]
     assert summary["largest_share"] == pytest.approx(square.max() / square.sum())
+    read = []
+
+    def reader(*which):
+        read.append(which[2])
+        return fixes_module.fixes(*which)
+
+    lazy = fixes_module.Read(reader, tmp_path, cell, ["anchor_mean", "choosy"], 3)
+    assert list(lazy) == ["anchor_mean", "choosy"]
+    assert "absent" not in lazy
+    assert read == []
+    assert np.array_equal(lazy["choosy"].outcome, lazy["choosy"].outcome[:3])
+    assert np.array_equal(lazy["anchor_mean"].error_xy_m, fixes.error_xy_m[:3])
+    assert read == ["choosy", "anchor_mean"]
     some = clusters(tmp_path, cell, "anchor_mean", [0, 2])
     assert some.replications == 2
     assert np.array_equal(some.fixes, np.full(42, 6.0))

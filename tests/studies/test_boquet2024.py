@@ -2,6 +2,7 @@
 fixes.
 """
 
+import dataclasses
 import inspect
 
 import matplotlib.pyplot as plt
@@ -14,8 +15,9 @@ from aoabench import bounds
 from aoabench.config.compose import compose_cells
 from aoabench.engine.tiles import Draws
 from aoabench.estimators.discrepancy import Discrepancy
+from aoabench.estimators.plane import on_plane
 from aoabench.maths import statistics
-from aoabench.maths.geometry import to_azel
+from aoabench.maths.geometry import to_azel, to_unit
 from aoabench.store.fixes import Fixes
 from aoabench.studies import study
 from aoabench.types import Anchors, Batch, Estimates, Outcome
@@ -23,7 +25,7 @@ from tests.helpers import Place
 
 STUDY = study.load("boquet2024")
 numbers, figures = STUDY.numbers, STUDY.figures
-common = numbers.common
+common, floor, geometry = numbers.common, numbers.floor, numbers.geometry
 measures = inspect.getmodule(numbers.fig6).measures
 NAN = np.nan
 
@@ -130,6 +132,46 @@ def test_percentile_of_the_far_anchor_by_quadrature():
     assert p == pytest.approx(
         0.95, abs=4 * max(q["q95_se"] * density * 4, np.sqrt(0.05 * 0.95 / 10_000))
     )
+
+
+@pytest.mark.parametrize("clip", [True, False])
+def test_positions_on_the_floor_are_those_of_the_single_anchors_rays(clip, rng):
+    """Also of rays that pass the nadir, and of those turned away from the horizon."""
+    anchors, node = floor.standard_room().position[0, 0], np.array([0.5, 9.5, 0.0])
+    e = rng.normal(0, 0.7, (2, 4000, 3))
+    found = floor.single_positions(node, anchors, floor.Turns.of(e), clip)
+    azimuth, elevation = to_azel(*np.moveaxis(node - anchors, -1, 0))
+    u = to_unit(azimuth + e[0], elevation + e[1])
+    xy = on_plane(u[None], floor.upright(anchors), 0.0, np.deg2rad(0.1))[0]
+    assert np.allclose(found.T, np.clip(xy, 0, 10) if clip else xy, rtol=1e-9, atol=1e-9)
+    assert (u[..., 2] > 0).mean() > 0.1
+    assert (np.abs(elevation + e[1]) > np.pi / 2).mean() > 0.01
+
+
+def test_one_anchor_against_two_is_the_plain_mean_of_squares(monkeypatch):
+    """The samples are taken in parts, of which the last one is shorter."""
+    whole = numbers.fig3b("quick")
+    monkeypatch.setattr(geometry, "PART", 300)
+    parts = numbers.fig3b("quick")
+    assert np.allclose(whole, parts, rtol=1e-9, atol=0)
+    row = whole[(whole["x_m"] == 2.5) & (whole["y_m"] == 6.5)].iloc[0]
+    turns = geometry.Turns.of(geometry.normal_errors(2_000, 3))
+    anchors = geometry.standard_room().position[0, 0]
+    xy = geometry.single_positions(np.array([2.5, 6.5, 0.0]), anchors, turns, clip=True).T
+    for name, p in (("single", xy[:, 2]), ("pair", xy[:, :2].mean(axis=1))):
+        rmse = statistics.pooled_rmse(np.hypot(*(p - [2.5, 6.5]).T))
+        stored = row[[f"{name}_m", f"{name}_se", f"{name}_skew"]].to_numpy(dtype=float)
+        assert stored == pytest.approx([rmse.value, rmse.se, rmse.skew], rel=1e-9)
+
+
+def test_shares_of_the_points_within_a_distance_are_plain_counts():
+    e, room = geometry.normal_errors(20, 2), geometry.floor_of(2.5)
+    pair = np.array([[3.5, 5.0, 3.0], [6.5, 5.0, 3.0]])
+    turns, wanted = geometry.Turns.of(e), np.zeros((20, len(common.ERRORS)))
+    for node in room:
+        xy = geometry.single_positions(node, pair, turns, clip=True).mean(axis=1)
+        wanted += np.hypot(*(xy.T - node[:2]).T)[:, None] <= common.ERRORS
+    assert np.array_equal(geometry._shares(room, 3.0, turns), wanted / 16)
 
 
 @pytest.fixture(scope="module")
@@ -424,6 +466,22 @@ def cep90(e):
     return float(np.quantile(e, 0.9))
 
 
+def test_an_rmse_over_campaigns_is_the_jackknife_of_the_plain_one(rng):
+    e = np.where(rng.random((12, 40)) < 0.2, NAN, rng.rayleigh(1.0, (12, 40)))
+    plain = statistics.jackknife(e, common.rms)
+    assert dataclasses.astuple(common.rmse(e)) == pytest.approx(dataclasses.astuple(plain))
+    cube = e.reshape(12, 8, 5)
+    assert common.rmse(cube).value == pytest.approx(plain.value)
+
+
+def test_ranks_share_the_mean_of_equal_values(rng):
+    x = rng.integers(0, 6, 30).astype(float)
+    assert np.array_equal(inspect.getmodule(numbers.areas)._ranks(x), stats.rankdata(x))
+    y = rng.normal(size=(4, 30))
+    wanted = stats.spearmanr(y.mean(axis=0), x).statistic
+    assert inspect.getmodule(numbers.areas)._rank_correlation(x, y) == pytest.approx(wanted)
+
+
 def test_quantiles_have_the_error_of_the_jackknife_where_that_is_right():
     e = disturbed(7)
     found = {name: number.estimate for name, number in measures(e).items()}
@@ -561,7 +619,7 @@ def test_sets_that_differ_are_those_that_the_votes_choose(cells):
     """Against the votes themselves, fix by fix."""
     cell = cells[EXPERIMENT][0]
     names = ("df_boxes_10", "df_exact_10")
-    found, _ = numbers.comparisons.unlike(cell, *names, 2)
+    ((found, _),) = numbers.comparisons.unlike(cell, [names], 2)
     draws = Draws(cell.scenario, cell.noise, cell.seed)
     _, batch = draws.tile(0, 8)
     chosen = []

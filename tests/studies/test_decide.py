@@ -6,7 +6,7 @@ import yaml
 
 from aoabench.errors import UserError
 from aoabench.store.files import read_provenance
-from aoabench.studies import claims, decide, reproduce, statements, study
+from aoabench.studies import claims, computing, decide, reproduce, statements, study
 from aoabench.studies.places import Places
 from aoabench.studies.study import Item, Study
 
@@ -43,13 +43,13 @@ def made_up(folder, limits, **item):
 @pytest.fixture
 def few(monkeypatch):
     """Any experiment becomes four positions of the grid with least squares."""
-    compose = reproduce.compose_cells
+    compose = computing.compose_cells
 
     def cells(overrides):
         kept = [o for o in overrides if not o.startswith("experiment")]
         return compose([*kept, "scenario=bs_grid", "scenario.positions=4", "estimator=ls", "noise=ae_normal", "runner.n_jobs=1"])  # fmt: skip
 
-    monkeypatch.setattr(reproduce, "compose_cells", cells)
+    monkeypatch.setattr(computing, "compose_cells", cells)
     monkeypatch.setattr(reproduce.page, "write", lambda *args: args[2].drawn / "index.html")
 
     def only(s):

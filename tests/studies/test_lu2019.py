@@ -38,9 +38,12 @@ class Counted:
     def __abs__(self): return Counted(abs(self.v))
     def __float__(self): return self.v
 
-def counted(a):
+class Deviation(Counted):  # its square is given with it
+    def __mul__(self, o): return Counted(self.v * float(o))
+
+def counted(a, kind=Counted):
     out = np.empty(np.shape(a), dtype=object)
-    for i, v in np.ndenumerate(a): out[i] = Counted(v)
+    for i, v in np.ndenumerate(a): out[i] = kind(v)
     return out
 
 K.TILE = 1
@@ -52,12 +55,12 @@ K.wrapped = lambda a: a
 rng, (F, Q) = np.random.default_rng(0), ConstantAcceleration(0.1).matrices(0.1)
 for toa in (True, False):
     for M in (1, 4, 8):
-        y = rng.normal(size=(1, 1, M, 3))
-        if not toa: y[..., 0] = np.nan
         Counted.n = 0
-        K.ekf(counted(np.zeros((1, 9))), counted(np.eye(9)), F, Q, counted(y), counted(np.ones(y.shape)), np.arange(M)[None],
-              counted(rng.normal(size=(1, M, 3))), counted(rng.normal(size=(M, 3, 3))), counted(np.ones((M, 3))),
-              False, False, False, False, np.zeros((1, 1, 3)), np.zeros((1, 1, 3, 3)), np.zeros((1, 1)))
+        y, sigma = rng.normal(size=(3, 1, 1, M)).astype(object), np.ones((3, 1, 1, M)).astype(object)  # not counted
+        K.ekf(counted(np.zeros((1, 9))), counted(np.eye(9)), F, Q, *y, *sigma,
+              counted(rng.normal(size=(1, 1, M, 3))), counted(rng.normal(size=(1, 1, M, 3, 3))), counted(np.ones((1, 1, M, 3)), Deviation),
+              toa, False, False, False, False,
+              np.zeros((1, 1, 3)), np.zeros((1, 1, 3, 3)), np.zeros((1, 1)), np.zeros((1, 1), int))
         print("ekf_toa_aoa" if toa else "ekf_aoa", M, Counted.n)
 """
 

@@ -160,9 +160,10 @@ def boquet(item):
     if item == "fig3a":
         table = BOQUET.numbers.fig3a("quick")
         geometry = importlib.import_module(f"{BOQUET.numbers.__name__}.geometry")
-        places, e = geometry.standard_room().position[0, 0, :2], geometry.normal_errors(10_000, 2)
-        xy = geometry.single_positions(np.array([8.5, 3.0, 0.0]), places, e, clip=False)[:, 1]
-        q95 = statistics.quantile(np.hypot(*(xy - [8.5, 3.0]).T), 0.95)
+        places = geometry.standard_room().position[0, 0, :2]
+        turns = geometry.Turns.of(geometry.normal_errors(10_000, 2))
+        xy = geometry.single_positions(np.array([8.5, 3.0, 0.0]), places, turns, clip=False)[:, 1]
+        q95 = statistics.quantile(np.hypot(*(xy.T - [8.5, 3.0]).T), 0.95)
         return table, {"fig3a/unclipped/B": q95}
     if item == "fig3b":
         return _room()
@@ -181,13 +182,13 @@ def boquet(item):
 
 def _room():
     geometry = importlib.import_module(f"{BOQUET.numbers.__name__}.geometry")
-    xy = np.random.default_rng(8).lognormal(0, 0.8, (40, 3, 2))
+    xy = np.random.default_rng(8).lognormal(0, 0.8, (2, 3, 40))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(geometry, "normal_errors", lambda *_: np.zeros((2, 40, 3)))
         patch.setattr(geometry, "single_positions", lambda *_, clip: xy)
         table = BOQUET.numbers.fig3b("quick")
     both = (xy[:, :2].mean(axis=1), xy[:, 2])
-    pair, single = (statistics.pooled_rmse(np.hypot(*(e - 0.5).T)) for e in both)
+    pair, single = (statistics.pooled_rmse(np.hypot(*(e - 0.5))) for e in both)
     return table, {"fig3b/0.5,0.5": pair - single}
 
 

@@ -1,6 +1,8 @@
 """Loading a study: its YAML files and its modules."""
 
-from aoabench.studies import reproduce, study
+import numpy as np
+
+from aoabench.studies import computing, study
 
 
 def made_up(folder):
@@ -35,7 +37,7 @@ def test_provenance_names_the_file_that_computes(tmp_path):
     (tmp_path / "numbers" / "__init__.py").write_text("from .inner import fig1\n")
     (tmp_path / "numbers" / "inner.py").write_text("def fig1(scale):\n    return scale\n")
     item = study.Item("fig1", "", "")
-    frame, origin = reproduce.compute(made_up(tmp_path), item, "quick", tmp_path)
+    frame, origin = computing.compute(made_up(tmp_path), item, "quick", computing.Runs(tmp_path))
     assert frame == "quick"
     assert origin["function"] == "experiments/made_up/numbers/inner.py:fig1"
 
@@ -47,3 +49,25 @@ def test_every_item_of_every_study_has_its_functions():
             assert callable(getattr(s.numbers, item.name)), f"{name} {item.name}"
             if item.figure:
                 assert callable(getattr(s.figures, item.name)), f"{name} {item.name}"
+
+
+def test_an_item_without_a_count_has_the_replications_that_its_precision_takes(tmp_path):
+    """Every mean as precise as asked; more replications that lie in the folder do not count."""
+    goal = ["until.metric=rmse_3d_m", "until.relative_se=0.03", "until.min_reps=10"]
+    few = ["noise=vmf", "filter=[ekf_vmf,ukf_vmf]", "estimator=[]", "runner.n_jobs=1"]
+    (tmp_path / "numbers.py").write_text("def kept(frame):\n    return frame\n")
+
+    def computed(*words):
+        scale = {"quick": [*few, *words]}
+        item = study.Item("kept", "t", "c", experiment="nurminen2018_adaptivity", scale=scale)
+        made = made_up(tmp_path)
+        return computing.compute(made, item, "quick", computing.Runs(tmp_path / "raw"))
+
+    frame, origin = computed("scenario=square_track", *goal)
+    each = frame.groupby("estimator")["rmse_3d_m"].agg(["mean", "std", "size"])
+    assert (each["std"] / np.sqrt(each["size"]) <= 0.03 * each["mean"]).all()
+    assert set(each["size"]) == {origin["reps"]} < set(range(10, 20_000))
+    more, _ = computed("scenario=square_track", "reps=200")
+    assert len(more) == 400
+    again, origin = computed("scenario=square_track", *goal)
+    assert len(again) == len(frame) == 2 * origin["reps"]

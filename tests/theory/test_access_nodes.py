@@ -12,7 +12,10 @@ from scipy.linalg import block_diag
 from aoabench.errors import BadValue, Unfit
 from aoabench.estimators.centroid import WeightedCentroid
 from aoabench.filters import access_nodes as an
+from aoabench.filters.heard import heard_alone
+from aoabench.kernels.access_nodes import LEAST_VARIANCE
 from aoabench.maths.geometry import LIGHT, wrap
+from aoabench.models import components
 from aoabench.models.motion import ConstantAcceleration
 from aoabench.types import Anchors, Batch, Outcome
 from tests.helpers import Place
@@ -144,13 +147,117 @@ def track(rng, anchors, R=11, T=40, missing=0.3):
 @pytest.mark.parametrize("printed", SUBSETS, ids="-".join)
 def test_the_kernel_equals_numpy(toa, printed, anchors, rng):
     """A full tile of replications and one that is not, a step without any measurement."""
-    _, batch, scenario = track(rng, anchors, R=9, T=12)
+    _, batch, scenario = track(rng, anchors, R=33, T=12)
     fast, slow = (
         an.AccessNodeEKF(toa, printed, engine=e)(batch, scenario, None) for e in ("auto", "numpy")
     )
     moved = moved_by_rounding(lambda b: an.AccessNodeEKF(toa, printed)(b, scenario, None), batch)
     equal_but_for_rounding(fast, slow, moved)
     assert np.array_equal(fast.outcome, slow.outcome)
+
+
+def moving(rng, anchors, R, T, each):
+    """The anchors with positions, rotations and deviations of each step; with `each`, of each
+    replication as well.
+    """
+    shape = (R if each else 1, T, B)
+    position = anchors.position[:1] + 0.3 * rng.normal(size=(*shape, 3))
+    rotation = upright(rng, shape)
+    return Anchors(position, rotation, rng.uniform(0.1, 0.6, (*shape, 3)))
+
+
+@pytest.mark.parametrize("each", [True, False])
+@pytest.mark.parametrize("printed", [(), ("wrap",), ("cross", "shared")], ids="-".join)
+def test_the_kernel_equals_numpy_for_anchors_that_move(printed, each, anchors, rng):
+    _, batch, scenario = track(rng, anchors, R=5, T=12)
+    batch = replace(batch, anchors=moving(rng, anchors, 5, 12, each))
+    fast, slow = (
+        an.AccessNodeEKF(True, printed, engine=e)(batch, scenario, None) for e in ("auto", "numpy")
+    )
+    moved = moved_by_rounding(lambda b: an.AccessNodeEKF(True, printed)(b, scenario, None), batch)
+    equal_but_for_rounding(fast, slow, moved)
+    still = replace(batch, anchors=batch.anchors.at(0).of(0))
+    other = an.AccessNodeEKF(True, printed)(still, scenario, None)
+    assert not np.allclose(fast.position, other.position, atol=1e-3)
+
+
+@pytest.mark.parametrize("engine", ["auto", "numpy"])
+def test_anchors_of_each_step_are_those_of_the_step(engine, anchors, rng):
+    """A replication with anchors that move equals, step by step, filters of the anchors that stand
+    where it has them, begun from the belief before the step.
+    """
+    T = 6
+    _, batch, scenario = track(rng, anchors, R=1, T=T)
+    batch = replace(batch, anchors=moving(rng, anchors, 1, T, False))
+    filters = an.AccessNodeEKF(engine=engine)
+    whole = filters(batch, scenario, None)
+    for k in range(T):  # all steps up to k with the anchors of step k: step 0 alone is the same
+        at = replace(batch, anchors=batch.anchors.at(k))
+        same = np.array_equal(filters(at, scenario, None).position[:, 0], whole.position[:, 0])
+        assert same == (k == 0)
+
+
+@pytest.mark.parametrize("engine", ["auto", "numpy"])
+@pytest.mark.parametrize("printed", [(), ("shared",), ("wrap", "cross")], ids="-".join)
+def test_batches_of_heard_nodes_give_the_bits_of_those_of_all(printed, engine, anchors, rng):
+    """Each step hears two or three of the seven, node 0 hardly ever; outcomes, trace and
+    innovations' degrees of freedom are the same.
+    """
+    _, batch, scenario = track(rng, anchors, R=3, T=20, missing=0.0)
+    heard = np.stack([np.isin(np.arange(B), rng.choice(B, 2 + k % 2, False)) for k in range(20)])
+    arrays = {
+        n: np.where(heard, getattr(batch, n), np.nan) for n in ("azimuth", "elevation", "delay")
+    }
+    whole = replace(batch, **arrays)
+    few = heard_alone(whole)
+    assert few.azimuth.shape[2] == 3
+    assert few.layout is whole.anchors
+    assert heard_alone(few) is few
+    filters = an.AccessNodeEKF(
+        True, printed, engine=engine, innovation_tail=0.1, innovation_steps=1
+    )
+    found, all_at_once = filters(few, scenario, None), filters(whole, scenario, None)
+    own = Anchors(
+        *(
+            np.broadcast_to(a, (1, 20, *a.shape[2:])) if len(a) == 1 else np.repeat(a, 20, 1)
+            for a in whole.anchors.arrays.values()
+        )
+    )
+    per_step = filters(replace(whole, anchors=own), scenario, None)  # no places are left out
+    for other in (all_at_once, per_step):
+        assert np.array_equal(found.position, other.position)
+        assert np.array_equal(found.covariance, other.covariance)
+        assert np.array_equal(found.outcome, other.outcome)
+    assert (found.outcome == Outcome.DIVERGED).any()
+    traces = [filters.trace(b, scenario, None) for b in (few, whole)]
+    assert len(traces[0]) == 3 * B
+    for name, values in traces[0].items():
+        assert np.array_equal(values, traces[1][name], equal_nan=True)
+
+
+def test_unusable_deviations_are_not_measured(anchors, rng):
+    """Of 0, infinite, negative, NaN, or too small to square; and the least variance is kept."""
+    _, batch, scenario = track(rng, anchors, R=5, T=8)
+    for name, bad in zip(("azimuth", "elevation", "delay"), (0.0, np.inf, np.nan)):
+        getattr(batch, f"{name}_sigma")[0, 3, :2] = bad
+        getattr(batch, f"{name}_sigma")[1, 2, 2] = 1e-180
+    batch.azimuth_sigma[2, 4, 1] = 1e-17
+    without = replace(batch, **{
+        name: np.where(batch_usable(getattr(batch, f"{name}_sigma")), getattr(batch, name), np.nan)
+        for name in ("azimuth", "elevation", "delay")
+    })  # fmt: skip
+    assert batch_usable(batch.azimuth_sigma)[2, 4, 1]
+    for engine in ("auto", "numpy"):
+        filters = an.AccessNodeEKF(engine=engine)
+        found, expected = filters(batch, scenario, None), filters(without, scenario, None)
+        assert np.isfinite(found.position).all()
+        assert np.array_equal(found.position, expected.position)
+    assert LEAST_VARIANCE == components.LEAST_VARIANCE
+
+
+def batch_usable(sigma):
+    with np.errstate(invalid="ignore"):
+        return (sigma > 1e-160) & (sigma < np.inf)
 
 
 def seen(x, s, R):

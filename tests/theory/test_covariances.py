@@ -258,7 +258,7 @@ def by_ukf(h, batch, F, Q, r):
 
 def at_nodes(toa, batch, F, Q, r):
     x, P = prediction(batch, F, Q, r)
-    y, q, _ = an.AccessNodeEKF(toa).measured(batch)
+    y, q = an.AccessNodeEKF(toa).measured(batch)
     h, H = (a[0] for a in an.expected(numbers(x)[:3].T, batch.anchors))
     v = y[r, 0] - h
     v[:, 1] = wrap(v[:, 1])

@@ -16,6 +16,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
 from aoabench.config.plugins import construct
+from aoabench.devices.floor_plan import FloorPlan
 from aoabench.devices.sight import in_sight
 from aoabench.errors import UserError
 from aoabench.maths.geometry import in_frames, to_azel
@@ -212,11 +213,19 @@ def test_the_nearest_in_sight_report(shipped_map, rng):
         assert np.array_equal(replace(shipped_map, nearest=nearest).hears(points), seen)
 
 
-def test_the_routes_tables_are_kept_and_travel(shipped_map, rng):
+def test_the_routes_tables_are_kept_and_travel(shipped_map, rng, monkeypatch):
+    """A copy in another process does not look for lines of sight again, even if the first one had
+    not yet.
+    """
+    fresh = pickle.dumps(replace(shipped_map, dt=1.0))
+    with monkeypatch.context() as patch:
+        patch.delattr(FloorPlan, "in_sight")
+        other = pickle.loads(fresh)
+        reported = other.hears(other.truth(rng)[:, :3])
+    assert reported.sum(axis=1).tolist() == [8] * other.route_steps
     points = shipped_map.truth(rng)[:, :3]
     table = shipped_map.hears(points)
     assert shipped_map.hears(points.copy()) is table
-    assert shipped_map.line_of_sight(points) is shipped_map.line_of_sight(points)
     assert np.array_equal(shipped_map.hears(points[100:105]), table[100:105])
     again = pickle.loads(pickle.dumps(shipped_map))
     assert again == shipped_map

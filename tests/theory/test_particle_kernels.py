@@ -30,9 +30,16 @@ from aoabench.types import Anchors, Batch
 from tests.theory.assembly import assembly, vector_registers
 
 numba = pytest.importorskip("numba")
-K, LIKELIHOOD, PHILOX, SINGLE, SMALL = (
+K, LIKELIHOOD, RESAMPLING, PHILOX, SINGLE, SMALL = (
     load(f"kernels.{name}")
-    for name in ("particle", "particle_likelihood", "philox", "single", "small")
+    for name in (
+        "particle",
+        "particle_likelihood",
+        "particle_resampling",
+        "philox",
+        "single",
+        "small",
+    )
 )
 KEY = (0xA4093822, 0x299F31D0)
 
@@ -45,6 +52,11 @@ def u8(*words):
 def over(function, x, out):
     for i in range(len(x)):
         out[i] = function(x[i])
+
+
+@numba.njit(forceinline=True)
+def inverse_root(x):
+    return SINGLE.inverse_root(x)
 
 
 def single(function, x):
@@ -74,6 +86,20 @@ def test_exponential_over_its_whole_range():
     assert error.max() < 4e-6
     assert error[x > -1].max() < 3e-7
     assert np.all(single(SINGLE.exponential, np.array([-40.0, -40.001, -1e30, -np.inf])) == 0)
+
+
+def test_precise_exponential_over_its_whole_range():
+    x = spaced(-40, 0)[1:]
+    exact = np.exp(x.astype(float))
+    assert np.abs(single(SINGLE.precise_exponential, x) / exact - 1).max() < 3e-7
+    beyond = np.array([-40.0, -40.001, -1e30, -np.inf, np.nan])
+    assert np.all(single(SINGLE.precise_exponential, beyond) == 0)
+
+
+def test_inverse_root_over_its_whole_range():
+    x = np.geomspace(1e-30, 1e12, 1_000_003).astype(np.float32)
+    error = single(inverse_root, x) * np.sqrt(x.astype(float)) - 1
+    assert np.abs(error).max() < 4e-7
 
 
 def test_logarithm_over_its_whole_range():
@@ -219,6 +245,11 @@ def models(sigma_deg):
     ]
 
 
+def coefficients(which, y, r, anchors):
+    """The terms of one step for measurements (1, m) and their variances."""
+    return inputs.terms(which, y[None], r[None], anchors, np.zeros((1, 3)))[0, 0]
+
+
 @pytest.mark.parametrize("sigma_deg", [30.0, 10.0, 1.8118])  # the last one: kappa = 1000
 @pytest.mark.parametrize("which", range(3), ids=KINDS)
 @pytest.mark.parametrize("B", [1, 4, 9])
@@ -250,8 +281,8 @@ def test_log_weights_of_one_step(sigma_deg, which, B, rng):
         LIKELIHOOD.loglik(
             which,
             *x,
-            inputs.terms(which, y, r, anchors, np.zeros(3))[0],
-            inputs.weights_table(h),
+            coefficients(which, y, r, anchors),
+            inputs.weights_table(h, which),
             out,
         )
         seen = exact > exact.max() - 46
@@ -291,7 +322,7 @@ def test_what_is_not_measured_is_left_out(which, rng):
     out = np.empty(M, dtype=np.float32)
     x = np.ascontiguousarray(particles.T.astype(np.float32))
     LIKELIHOOD.loglik(
-        which, *x, inputs.terms(which, y, r, anchors, np.zeros(3))[0], inputs.weights_table(h), out
+        which, *x, coefficients(which, y, r, anchors), inputs.weights_table(h, which), out
     )
     difference = out - h.loglik(particles[None], anchors, y, r)[0]
     assert np.abs(difference - np.median(difference)).max() < (0.3 if which == 2 else 1e-4)
@@ -304,8 +335,8 @@ def test_a_particle_on_its_anchor_or_pole_is_finite(which):
     x = np.zeros((3, K.TILE), dtype=np.float32)
     x[2, 1], x[2, 2] = 2.0, -2.0
     out = np.empty(K.TILE, dtype=np.float32)
-    terms = inputs.terms(which, y, np.full(y.shape, 0.03), anchors, np.zeros(3))[0]
-    LIKELIHOOD.loglik(which, *x, terms, inputs.weights_table(h), out)
+    terms = coefficients(which, y, np.full(y.shape, 0.03), anchors)
+    LIKELIHOOD.loglik(which, *x, terms, inputs.weights_table(h, which), out)
     assert np.all(np.isfinite(out))
 
 
@@ -315,6 +346,7 @@ def test_a_particle_on_its_anchor_or_pole_is_finite(which):
 @pytest.mark.parametrize("N", [1, 2, 100, 256, 257, 5000])
 def test_resampling_chooses_the_same_ancestors_as_the_reference(N, rng):
     M = -(-N // K.TILE) * K.TILE
+    scales = rng.uniform(0.01, 1, M // K.TILE)  # of each tile's weights
     for sharpness in (0.1, 3.0, 50.0):
         w = np.zeros(M, dtype=np.float32)
         w[:N] = np.exp(-sharpness * rng.exponential(size=N))
@@ -325,10 +357,10 @@ def test_resampling_chooses_the_same_ancestors_as_the_reference(N, rng):
             np.tile(np.arange(M, dtype=np.float32), (3, 1)),
             np.zeros((3, M), dtype=np.float32),
         )
-        scratch = np.empty(M), np.empty(M, dtype=np.int32), np.empty(M + 1, dtype=np.float32)
+        scaled = w * np.repeat(scales, K.TILE)
         for uniform in (0.0, rng.random(), 1 - 2.0**-32):
-            K.resample(w, N, uniform, *scratch, x, children)
-            exact = pf.systematic(w[:N].astype(float) / w.astype(float).sum(), uniform)
+            RESAMPLING.resample(w, scales, N, uniform, np.empty(M + 1, np.int32), x, children)
+            exact = pf.systematic(scaled[:N] / scaled.sum(), uniform)
             ours = children[0, :N].astype(int)
             assert np.array_equal(children[0], children[2])
             # the sums' last bits may shift a border between neighbours by one
@@ -446,6 +478,43 @@ def test_any_number_of_anchors_and_particles_and_any_linear_motion(B, N, which, 
     assert np.allclose(fast.covariance, exact.covariance, **tolerance)
 
 
+@pytest.mark.parametrize("which", range(3), ids=KINDS)
+def test_anchors_of_each_step(which, rng):
+    """Two replications whose anchors stand elsewhere at each step: as by the slow likelihood at
+    those of each step.
+    """
+    R, T, B = 2, 4, 3
+    h, turned = models(20.0)[which], rotations(rng, R * T * B).reshape(R, T, B, 3, 3)
+    anchors = Anchors(rng.uniform(-5, 5, (R, T, B, 3)), turned)
+    at = rng.normal(size=(R, T, 3))
+    seen = [AzEl(20.0).predict(at[:, k], anchors.at(k)).reshape(R, B, 2) for k in range(T)]
+    angles = np.stack(seen, axis=1) + 0.1 * rng.normal(size=(R, T, B, 2))
+    mean, cov = np.array([[3.0, 1, -2], [0, 1, 2]]), 2 * np.eye(3)
+    batch = Batch(angles[..., 0], angles[..., 1], anchors, prior_mean=mean, prior_cov=cov)
+    fast, exact = (
+        pf.ParticleFilter(h, 257, 0.3, engine)(batch, Still(), Streams(3, "still", (11, 12)))
+        for engine in ("auto", "double")
+    )
+    tolerance = 2e-5 if which < 2 else 2e-3
+    assert np.allclose(fast.position, exact.position, rtol=0, atol=tolerance)
+    assert np.allclose(fast.covariance, exact.covariance, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize(("particles", "tile"), [(100, 16), (1000, 4), (3000, 1), (10_000, 1)])
+def test_a_tile_has_the_bits_of_each_of_its_replications(particles, tile):
+    cell = cell_with("pf_ae_adaptive", "noise=vmf")
+    estimator = replace(next(iter(cell.estimators.values())), particles=particles)
+    draws = Draws(cell.scenario, cell.noise, cell.seed)
+    assert estimator.tile == tile
+    together = estimate_tile(draws, estimator, 0)[1]
+    _, batch = draws.tile(0, tile)
+    for i in range(0, tile, 3):
+        streams = Streams(cell.seed, cell.scenario.name, (i,))
+        alone = estimator(batch.of(i), cell.scenario, streams)
+        assert np.array_equal(together.position[i], alone.position[0])
+        assert np.array_equal(together.covariance[i], alone.covariance[0])
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_bits_with_and_without_shared_normals(name, monkeypatch):
     cell = cell_with(name, "noise=vmf")
@@ -496,7 +565,18 @@ def test_the_kernels_number_measurement_models_as_the_filters_do():
 @pytest.mark.parametrize(
     ("module", "kernels_"),
     [
-        ("filters.particle", ("particle", "particle_likelihood", "philox", "single", "compile")),
+        (
+            "filters.particle",
+            (
+                "particle",
+                "particle_likelihood",
+                "particle_resampling",
+                "particle_sums",
+                "philox",
+                "single",
+                "compile",
+            ),
+        ),
         ("filters.kalman", ("kalman", "square_root", "angles", "small", "compile")),
         ("filters.access_nodes", ("access_nodes", "square_root", "angles", "compile")),
         ("estimators.maximum_likelihood", ("snapshot", "angles", "small", "compile")),

@@ -110,6 +110,12 @@ def _gdop(scenario: Scenario, points: np.ndarray, b: int) -> np.ndarray:
 
 def _rank_correlation(gdop: np.ndarray, m: np.ndarray) -> float:
     """Spearman's rank correlation of the mean medians (R, P) with the GDOP (P,)."""
-    from scipy.stats import spearmanr
+    return float(np.corrcoef(_ranks(m.mean(axis=0)), _ranks(gdop))[0, 1])
 
-    return float(spearmanr(m.mean(axis=0), gdop).statistic)
+
+def _ranks(x: np.ndarray) -> np.ndarray:
+    """Ranks (P,) from 1 of values, the mean rank where some are equal; NaN if one is NaN."""
+    if np.isnan(x).any():
+        return np.full(len(x), np.nan)
+    _, place, count = np.unique(x, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(count) - (count - 1) / 2)[place])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,7 @@ def _slower(counts: Counts, r: float) -> Estimate:
     return statistics.ratio(numbers[0] - numbers[1] - numbers[2] + numbers[3], counts[r][1])
 
 
-def at_lost(fixes: dict[str, Fixes], share: float) -> tuple[float, Fixes]:
+def at_lost(fixes: Mapping[str, Fixes], share: float) -> tuple[float, Fixes]:
     """The discrepancy filter whose R_d is nearest to a share, and its R_sigma."""
     found = filters(fixes)
     r = min(found, key=lambda r: abs(lost(found[r]).value - share))

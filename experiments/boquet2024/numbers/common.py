@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import yaml
+from joblib import cpu_count
 
 from aoabench.cell import Cell
 from aoabench.maths import statistics
@@ -15,7 +18,8 @@ from aoabench.maths.estimate import Estimate
 from aoabench.store.fixes import Fixes
 from aoabench.types import Outcome
 
-Runs = Iterable[tuple[Cell, dict[str, Fixes]]]  # a cell and the fixes of each of its estimators
+X, Y = TypeVar("X"), TypeVar("Y")
+Runs = Iterable[tuple[Cell, Mapping[str, Fixes]]]  # a cell and the fixes of each of its estimators
 METHODS = (
     "single_anchor_1",
     "single_anchor_2",
@@ -30,6 +34,14 @@ METHODS = (
 # methods whose score measures the disagreement of the anchors
 SCORED = ("anchor_mean", "ls_lines", "ls_anchor_discarding", "vmf_ml")
 ERRORS = np.round(np.arange(0.0, 6.01, 0.05), 2)  # m, grid of the distribution functions
+
+
+def in_threads(f: Callable[[X], Y], each: Iterable[X]) -> list[Y]:
+    """The values of f in the order of its arguments, computed by a thread per processor; each of
+    them depends on its argument alone.
+    """
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        return list(pool.map(f, each))
 
 
 def printed_grids() -> dict[str, np.ndarray]:
@@ -69,6 +81,23 @@ def rms(e: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(e**2)))
 
 
+def rmse(e: np.ndarray) -> Estimate:
+    """Root mean square of the given errors (R, ...), with its standard error over campaigns."""
+    return statistics.jackknife(squares(e), root_mean_square)
+
+
+def squares(e: np.ndarray) -> np.ndarray:
+    """Each campaign's sum of the squares of the given errors (R, ...), and their number: (R, 2)."""
+    each = e.reshape(len(e), -1)
+    return np.stack([np.nansum(each**2, axis=1), np.isfinite(each).sum(axis=1)], axis=1)
+
+
+def root_mean_square(sums: np.ndarray) -> float:
+    """Root mean square of the errors of all campaigns from their `squares` (R, 2)."""
+    total, count = sums.sum(axis=0)
+    return float(np.sqrt(total / count))
+
+
 def tail(e: np.ndarray) -> float:
     """The 99 % quantile of the given errors over their median."""
     return float(np.divide(*np.nanquantile(e, [0.99, 0.5])))
@@ -106,11 +135,12 @@ def medians(e: np.ndarray, points: int) -> np.ndarray:
         return np.nanmedian(e.reshape(len(e), points, -1), axis=2)
 
 
-def filters(fixes: dict[str, Fixes], kind: str = "boxes") -> dict[float, Fixes]:
+def filters(fixes: Mapping[str, Fixes], kind: str = "boxes") -> dict[float, Fixes]:
     """The discrepancy filters of a run by R_sigma; df_boxes_04 is that of 0.4."""
-    return {int(name[-2:]) / 10: f for name, f in fixes.items() if name.startswith(f"df_{kind}_")}
+    names = [name for name in fixes if name.startswith(f"df_{kind}_")]
+    return {int(name[-2:]) / 10: fixes[name] for name in names}
 
 
-def only(runs: Runs) -> tuple[Cell, dict[str, Fixes]]:
+def only(runs: Runs) -> tuple[Cell, Mapping[str, Fixes]]:
     """The one cell of a run."""
     return next(iter(runs))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from .common import (
     filters,
     lost,
     only,
-    rms,
+    rmse,
     within,
 )
 
@@ -96,8 +97,12 @@ def rejection(runs: Runs) -> pd.DataFrame:
 def _covered(method: str, e: np.ndarray, r_sigma: float = np.nan) -> dict[str, Any]:
     """A row of `rejection` from errors (R, T), NaN where the method rejects."""
     shares = columns(coverage=statistics.mean(np.isfinite(e).mean(axis=1)), within_1m=within(e))
-    rmse = statistics.jackknife(e, rms).columns("rmse_m", "rmse_se")
-    return {"method": method, "r_sigma": r_sigma, **shares, **rmse}
+    return {
+        "method": method,
+        "r_sigma": r_sigma,
+        **shares,
+        **rmse(e).columns("rmse_m", "rmse_se"),
+    }
 
 
 def boxes(runs: Runs) -> pd.DataFrame:
@@ -106,14 +111,12 @@ def boxes(runs: Runs) -> pd.DataFrame:
     both.
     """
     cell, fixes = only(runs)
-    exact = filters(fixes, "exact")
+    exact, all_boxes = filters(fixes, "exact"), filters(fixes)
+    both = {r: (f, exact[r]) for r, f in all_boxes.items() if r in exact}
+    names = {r: [f"df_{kind}_{round(10 * r):02d}" for kind in ("boxes", "exact")] for r in both}
+    different = unlike(cell, list(names.values()), len(next(iter(exact.values())).outcome))
     rows = []
-    for r, f in filters(fixes).items():
-        if r not in exact:
-            continue
-        names = [f"df_{kind}_{round(10 * r):02d}" for kind in ("boxes", "exact")]
-        other, moved = unlike(cell, names[0], names[1], len(f.outcome))
-        g = exact[r]
+    for (r, (f, g)), (other, moved) in zip(both.items(), different):
         values = {
             "other_set": statistics.mean(other.mean(axis=1)),
             "other_position": statistics.mean(moved.mean(axis=1)),
@@ -122,25 +125,29 @@ def boxes(runs: Runs) -> pd.DataFrame:
             values |= {
                 f"within_1m_{kind}": within(error(h)),
                 f"lost_{kind}": lost(h),
-                f"rmse_{kind}_m": statistics.jackknife(error(h), rms),
+                f"rmse_{kind}_m": rmse(error(h)),
             }
         values["more"] = difference(error(g), error(f))
         rows.append({"r_sigma": r, **columns(**values)})
     return pd.DataFrame(rows)
 
 
-def unlike(cell: Cell, name: str, other: str, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Whether two discrepancy filters of a cell fuse different sets of anchors, and whether they
-    give different positions, both (count, T), in the first `count` replications.
+def unlike(
+    cell: Cell, pairs: Sequence[Sequence[str]], count: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each pair of discrepancy filters of a cell, whether both fuse different sets of anchors,
+    and whether they give different positions, both (count, T), in the first `count` replications.
     """
     draws = Draws(cell.scenario, cell.noise, cell.seed)
-    pair = [cell.estimators[n] for n in (name, other)]
-    found = []
-    for first in range(0, count, tile_of(pair[0], cell.scenario)):
-        a, b = (estimate_tile(draws, estimator, first)[1] for estimator in pair)
-        found.append(unlike_sets(a, b))
-    sets, positions = (np.concatenate(parts)[:count] for parts in zip(*found))
-    return sets, positions
+    found: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in pairs]
+    for first in range(0, count, tile_of(cell.estimators[pairs[0][0]], cell.scenario)):
+        for pair, parts in zip(pairs, found):
+            a, b = (estimate_tile(draws, cell.estimators[name], first)[1] for name in pair)
+            parts.append(unlike_sets(a, b))
+    return [
+        (np.concatenate(sets)[:count], np.concatenate(positions)[:count])
+        for sets, positions in (zip(*parts) for parts in found)
+    ]
 
 
 def unlike_sets(a: Estimates, b: Estimates) -> tuple[np.ndarray, np.ndarray]:

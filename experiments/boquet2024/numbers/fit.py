@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,20 @@ from aoabench.maths.geometry import in_frames, to_azel, wrap
 from aoabench.roles import Noise, Scenario
 from aoabench.store.fixes import Fixes
 
-from .common import Runs, error, filters, lost, medians, only, printed_grids, rms, tail, within
+from .common import (
+    Runs,
+    error,
+    filters,
+    lost,
+    medians,
+    only,
+    printed_grids,
+    rmse,
+    root_mean_square,
+    squares,
+    tail,
+    within,
+)
 
 ANGLES = ("azimuth", "elevation")
 PRINTED = resources.printed("boquet2024")
@@ -66,7 +79,7 @@ def by_day(errors: Sequence[np.ndarray], scenario: Scenario) -> dict[str, np.nda
 
 
 def misfits(
-    fixes: dict[str, Fixes], days: dict[str, np.ndarray], points: int
+    fixes: Mapping[str, Fixes], days: dict[str, np.ndarray], points: int
 ) -> Iterator[dict[str, Any]]:
     """A row per number that the noise is fitted to: printed, ours with its standard error over
     campaigns, and the misfit in units of the tolerance with which the fit weighs it.
@@ -107,11 +120,9 @@ def _log_ratio(grid: np.ndarray, m: np.ndarray) -> float:
 
 def _inside(grid: np.ndarray, m: np.ndarray) -> float:
     """Share of a printed grid (P,) within the middle 90 % of campaigns' medians (R, P)."""
-    return float(
-        np.mean(
-            (grid >= np.nanquantile(m, 0.05, axis=0)) & (grid <= np.nanquantile(m, 0.95, axis=0))
-        )
-    )
+    quantile = np.nanquantile if np.isnan(m).any() else np.quantile
+    low, high = quantile(m, (0.05, 0.95), axis=0)
+    return float(np.mean((grid >= low) & (grid <= high)))
 
 
 def _misfit(
@@ -141,14 +152,19 @@ def _anchor_rows(errors: np.ndarray) -> Iterator[dict[str, Any]]:
         e = errors[:, i]
         for b in range(e.shape[-1]):
             of = f"{angle} error of anchor {b + 1}"
-            numbers: dict[str, tuple[str, Callable[[np.ndarray], float]]] = {
-                "rms": (f"RMS {of} [deg]", lambda e, b=b: rms(e[..., b])),
-                "tail": (f"99 over 50 % of the {of}", lambda e, b=b: tail(np.abs(e[..., b]))),
-            }
+            tails = statistics.jackknife(np.abs(e[..., b]), tail)
+            ours = {"rms": (f"RMS {of} [deg]", rmse(e[..., b]))}
+            ours["tail"] = f"99 over 50 % of the {of}", tails
             if b:
-                more = f"RMS {of} minus that of anchor 1 [deg]"
-                numbers["more"] = more, lambda e, b=b: rms(e[..., b]) - rms(e[..., 0])
-            for key, (what, number) in numbers.items():
-                ours = statistics.jackknife(e, number)
+                more = statistics.jackknife(
+                    np.stack([squares(e[..., b]), squares(e[..., 0])], axis=1), _less_the_second
+                )
+                ours["more"] = f"RMS {of} minus that of anchor 1 [deg]", more
+            for key, (what, number) in ours.items():
                 where = f"angles/{angle}/{b + 1}/{key}"
-                yield {"what": what, "id": where, **ours.columns("ours", "se")}
+                yield {"what": what, "id": where, **number.columns("ours", "se")}
+
+
+def _less_the_second(sums: np.ndarray) -> float:
+    """RMS of the first errors minus that of the second, from the `squares` (R, 2, 2) of both."""
+    return root_mean_square(sums[:, 0]) - root_mean_square(sums[:, 1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,35 +10,21 @@ import pandas as pd
 from scipy import optimize
 
 from aoabench import bounds
-from aoabench.config.compose import compose_cells
 from aoabench.estimators.lines import nearest_point
-from aoabench.estimators.plane import on_plane
 from aoabench.estimators.rays import rays
 from aoabench.maths import statistics
-from aoabench.maths.geometry import in_frames, to_azel, to_unit, wrap
-from aoabench.types import Anchors, Batch
+from aoabench.maths.geometry import in_frames, to_azel
+from aoabench.types import Batch
 
-from .common import ERRORS, columns
+from .common import ERRORS, columns, in_threads
+from .floor import ROOM, Turns, floor_of, normal_errors, single_positions, standard_room, upright
 
-ROOM = 10.0  # m, the sides of the standard room
+PART = 8192  # samples at once, few enough for the processor's cache
 GAMMAS = np.round(np.arange(1.0, 2.51, 0.05), 2)  # ratios of B's deviation to A's
 LAYOUTS = {
     f"{number} anchor{'s' * (i > 0)}": f"_{i + 1}"
     for i, number in enumerate(("one", "two", "three", "four"))
 }
-
-
-def standard_room(which: str = "") -> Anchors:
-    """Anchors of scenario=standard_room, A, B and C of Figure 3, or of standard_room_1 ... _4,
-    those of Figure 2.
-    """
-    words = [f"scenario=standard_room{which}", "noise=ae_normal", "estimator=[anchor_mean]"]
-    return compose_cells(words)[0].scenario.true_anchors
-
-
-def upright(position: np.ndarray) -> Anchors:
-    """Anchors (B, 3) m whose frames are the global one."""
-    return Anchors(position, np.broadcast_to(np.eye(3), (len(position), 3, 3)))
 
 
 def fig2(scale: str) -> pd.DataFrame:
@@ -71,42 +58,24 @@ def one_anchor() -> list[dict[str, Any]]:
     ]
 
 
-def single_positions(
-    node: np.ndarray, anchors: np.ndarray, e: np.ndarray, clip: bool
-) -> np.ndarray:
-    """Positions (N, B, 2) m of a node (3,) m, each from one of the anchors (B, 3) m alone, with
-    angle errors e (2, N, B) rad.
-    """
-    a = upright(anchors)
-    azimuth, elevation = to_azel(*in_frames(node[None, None], a.position, a.rotation))
-    u = to_unit(wrap(azimuth[0] + e[0]), elevation[0] + e[1])
-    xy = on_plane(u[None], a, float(node[2]), np.deg2rad(0.1))[0]
-    return np.clip(xy, 0.0, ROOM) if clip else xy
-
-
-def normal_errors(n: int, anchors: int) -> np.ndarray:
-    """Angle errors (2, n, anchors) rad of 10 deg, the same for every point."""
-    return np.deg2rad(10.0) * np.random.default_rng(2024).standard_normal((2, n, anchors))
-
-
 def fig3a(scale: str) -> pd.DataFrame:
     """Position samples of a node at (8.5, 3.0) m from B alone and from the mean of A and B,
     unclipped, and 95th percentiles of their errors.
     """
     n = 10_000 if scale == "quick" else 1_000_000
     node, rows = np.array([8.5, 3.0, 0.0]), []
-    pair = standard_room().position[0, 0, :2]
+    pair, turns = standard_room().position[0, 0, :2], Turns.of(normal_errors(n, 2))
     for clip in (False, True):
-        xy = single_positions(node, pair, normal_errors(n, 2), clip)
+        xy = single_positions(node, pair, turns, clip)
         for name, found in (("B", xy[:, 1]), ("mean of A and B", xy.mean(axis=1))):
-            q95 = statistics.quantile(np.hypot(*(found - node[:2]).T), 0.95)
+            q95 = statistics.quantile(np.hypot(found[0] - node[0], found[1] - node[1]), 0.95)
             q95 = q95.columns("q95_m", "q95_se")
             rows.append(
                 {"kind": "clipped" if clip else "unclipped", "who": name, "samples": n, **q95}
             )
             if not clip:
                 rows += [
-                    {"kind": "sample", "who": name, "x_m": p, "y_m": q} for p, q in found[:400]
+                    {"kind": "sample", "who": name, "x_m": p, "y_m": q} for p, q in found[:, :400].T
                 ]
     return pd.DataFrame(rows)
 
@@ -116,22 +85,31 @@ def fig3b(scale: str) -> pd.DataFrame:
     standard errors.
     """
     n, step = (2_000, 1.0) if scale == "quick" else (1_000_000, 0.5)
-    errors, side, rows = normal_errors(n, 3), np.arange(step / 2, ROOM, step), []
-    anchors = standard_room().position[0, 0]
-    for x in side:
-        for y in side:
-            squares = []
-            for part in np.array_split(errors, max(n // 50_000, 1), axis=1):
-                xy = single_positions(np.array([x, y, 0.0]), anchors, part, clip=True)
-                pair = np.stack([xy[:, 2], xy[:, :2].mean(axis=1)], axis=1)
-                squares.append(((pair - [x, y]) ** 2).sum(axis=-1))
-            square = np.concatenate(squares)
-            row = {"x_m": x, "y_m": y}
-            for name, each in zip(("single", "pair"), square.T):
-                rmse = statistics.pooled_rmse(np.sqrt(each))
-                row |= rmse.columns(f"{name}_m", f"{name}_se")
-            rows.append(row)
+    room, anchors = floor_of(step), standard_room().position[0, 0]
+    errors = normal_errors(n, 3)
+    parts = np.array_split(errors, -(-n // PART), axis=1)
+    sums = sum(in_threads(lambda part: _powers(room, anchors, Turns.of(part)), parts))
+    rows = []
+    for (x, y, _), each in zip(room, sums):
+        row = {"x_m": x, "y_m": y}
+        for name, powers in zip(("single", "pair"), each):
+            rmse = statistics.mean_of_sums(errors.shape[1], *powers).root()
+            row |= rmse.columns(f"{name}_m", f"{name}_se")
+        rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _powers(room: np.ndarray, anchors: np.ndarray, turns: Turns) -> np.ndarray:
+    """Sums over samples of the first three powers of the squared errors of C alone and of the mean
+    of A and B at the points `room` (P, 3) m: (P, 2, 3).
+    """
+    found = np.empty((len(room), 2, 3))
+    for node, sums in zip(room, found):
+        away = single_positions(node, anchors, turns, clip=True) - node[:2, None, None]
+        for (x, y), powers in zip((away[:, 2], (away[:, 0] + away[:, 1]) / 2), sums):
+            square = x * x + y * y
+            powers[:] = square.sum(), (square**2).sum(), (square * square**2).sum()
+    return found
 
 
 def fig3c(scale: str) -> pd.DataFrame:
@@ -140,30 +118,30 @@ def fig3c(scale: str) -> pd.DataFrame:
     which all points share.
     """
     n, step = (100, 1.0) if scale == "quick" else (2_000, 0.25)
-    side, errors = np.arange(step / 2, ROOM, step), normal_errors(n, 2)
-    room = [np.array([x, y, 0.0]) for x in side for y in side]
-    alone, rows = None, []
-    for apart in range(10):
-        share = _shares(room, apart, errors)
-        alone = share if alone is None else alone
-        for limit, own, more in zip(ERRORS, share.T, (share - alone).T):
+    room, turns = floor_of(step), Turns.of(normal_errors(n, 2))
+    shares = in_threads(lambda apart: _shares(room, apart, turns), range(10))
+    rows = []
+    for apart, share in enumerate(shares):
+        for limit, own, more in zip(ERRORS, share.T, (share - shares[0]).T):
             found = columns(cdf=statistics.mean(own), more=statistics.mean(more))
             rows.append({"separation_m": apart, "error_m": limit, "samples": n, **found})
     return pd.DataFrame(rows)
 
 
-def _shares(room: list[np.ndarray], apart: float, errors: np.ndarray) -> np.ndarray:
-    """Share of the points with an error up to each of ERRORS, for each draw of the angle errors
-    (2, N, 2): (N, len(ERRORS)). The estimate is the mean from two anchors that lie `apart` m from
-    one another, for 0 that of the one at C.
+def _shares(room: np.ndarray, apart: float, turns: Turns) -> np.ndarray:
+    """Share of the points (P, 3) m with an error up to each of ERRORS, for each of N draws of the
+    angle errors: (N, len(ERRORS)). The estimate is the mean from two anchors that lie `apart` m
+    from one another, for 0 that of the one at C.
     """
     pair = np.array([[5 - apart / 2, 5.0, 3.0], [5 + apart / 2, 5.0, 3.0]])
-    count = np.zeros((errors.shape[1], len(ERRORS)))
+    shape = turns.sin.shape[2], len(ERRORS) + 1
+    first = shape[1] * np.arange(shape[0])  # of each draw's counts of errors between the limits
+    count = np.zeros(shape[0] * shape[1], dtype=int)
     for node in room:
-        xy = single_positions(node, pair, errors, clip=True)
-        found = xy[:, 0] if apart == 0 else xy.mean(axis=1)
-        count += np.hypot(*(found - node[:2]).T)[:, None] <= ERRORS
-    return count / len(room)
+        xy = single_positions(node, pair, turns, clip=True)
+        x, y = (xy[:, 0] if apart == 0 else xy.mean(axis=1)) - node[:2, None]
+        count[first + np.searchsorted(ERRORS, np.hypot(x, y))] += 1
+    return np.asarray(np.cumsum(count.reshape(shape), axis=1)[:, :-1] / len(room))
 
 
 def rule(scale: str) -> pd.DataFrame:
@@ -177,14 +155,19 @@ def rule(scale: str) -> pd.DataFrame:
     rng = np.random.default_rng(9)
     rows = []
     for of_a, of_b in ((2, 1), (1, 1), (1, 2), (1, 3)):
-        a = rng.standard_normal((n, of_a, 2)).mean(axis=1)
-        b = rng.standard_normal((n, of_b, 2)).mean(axis=1)
-        beta = of_b / of_a
-        for gamma in GAMMAS:
-            both = (of_a * a + of_b * gamma * b) / (of_a + of_b)
-            closed = np.sqrt(1 + beta * gamma**2) / (1 + beta)
-            rows.append(_ratio("mean", beta, gamma, both, a) | {"closed": closed})
+        a, b = (rng.standard_normal((n, k, 2)).mean(axis=1).T.copy() for k in (of_a, of_b))
+        rows += in_threads(partial(_mean_of_both, of_a, a, of_b, b), GAMMAS)
     return pd.DataFrame(rows + _nearest_to_both(rng, n // 10))
+
+
+def _mean_of_both(
+    of_a: int, a: np.ndarray, of_b: int, b: np.ndarray, gamma: float
+) -> dict[str, Any]:
+    """A row `mean` of `rule` from the means a and b (2, N) of `of_a` and `of_b` estimates."""
+    beta = of_b / of_a
+    both = (of_a * a + of_b * gamma * b) / (of_a + of_b)
+    closed = np.sqrt(1 + beta * gamma**2) / (1 + beta)
+    return _ratio("mean", beta, gamma, both, a) | {"closed": closed}
 
 
 def _nearest_to_both(rng: np.random.Generator, n: int) -> list[dict[str, Any]]:
@@ -193,20 +176,21 @@ def _nearest_to_both(rng: np.random.Generator, n: int) -> list[dict[str, Any]]:
     anchors = upright(places)
     true = to_azel(*in_frames(node[None, None], anchors.position, anchors.rotation))
     normal = np.deg2rad(1.0) * rng.standard_normal((2, n, 2))
-    alone = single_positions(node, places, normal, clip=False)[:, 0] - node[:2]
+    turns = Turns.of(normal)
+    alone = single_positions(node, places, turns, clip=False)[:, 0] - node[:2, None]
     rows = []
     for gamma in GAMMAS:
         angles = [t[0] + e * [1.0, gamma] for t, e in zip(true, normal)]
         batch = Batch(angles[0][None], angles[1][None], anchors)
         both = nearest_point(rays(batch), batch.anchors.position).position[0, :, :2] - node[:2]
-        rows.append(_ratio("ls", 1.0, gamma, both, alone) | {"closed": np.nan})
+        rows.append(_ratio("ls", 1.0, gamma, both.T, alone) | {"closed": np.nan})
     return rows
 
 
 def _ratio(
     kind: str, beta: float, gamma: float, both: np.ndarray, alone: np.ndarray
 ) -> dict[str, Any]:
-    """A row of `rule` from errors (N, 2)."""
-    ratio = statistics.ratio((both**2).sum(-1), (alone**2).sum(-1)).root()
-    row = {"kind": kind, "beta": beta, "gamma": gamma, "samples": len(both)}
+    """A row of `rule` from errors (2, N)."""
+    ratio = statistics.ratio((both**2).sum(axis=0), (alone**2).sum(axis=0)).root()
+    row = {"kind": kind, "beta": beta, "gamma": gamma, "samples": both.shape[1]}
     return row | columns(ratio=ratio)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def readings(runs: Runs) -> pd.DataFrame:
 
 
 def _row(
-    label: str, r: float, stem: str, fixes: dict[str, Fixes], base: dict[str, Fixes]
+    label: str, r: float, stem: str, fixes: Mapping[str, Fixes], base: Mapping[str, Fixes]
 ) -> dict[str, Any]:
     """A row of `readings`: the filter `stem` in `fixes` against that as here in `base`."""
     f, used = fixes[of(stem, r)], base[of("as_here", r)]

@@ -9,13 +9,11 @@ import pandas as pd
 
 from aoabench.cell import Cell
 from aoabench.engine import metrics
-from aoabench.engine.tiles import Draws, estimate_tile
 from aoabench.maths import intervals, statistics
 
-from .common import METHODS, SETTINGS, cell_of
+from .common import METHODS, SETTINGS, cell_of, estimated
 from .trials import DIVERGED_M
 
-TILE = 8
 LEVEL = 0.997  # of intervals
 
 
@@ -54,12 +52,9 @@ def _numbers(rmse: np.ndarray, centroid: np.ndarray, part: str) -> dict[str, flo
 
 def trial_rmses(cell: Cell, trials: int) -> dict[str, dict[str, np.ndarray]]:
     """RMSE in m of each trial (trials,), in space (3d) and in height (z), by method."""
-    draws = Draws(cell.scenario, cell.noise, cell.seed)
     found: dict[str, list[dict[str, np.ndarray]]] = {name: [] for name in cell.estimators}
-    for first in range(0, trials, TILE):
-        for name, estimator in cell.estimators.items():
-            truth, estimates = estimate_tile(draws, estimator, first)
-            found[name].append(metrics.per_replication(estimates, truth[..., :3]))
+    for name, truth, estimates in estimated(cell, trials):
+        found[name].append(metrics.per_replication(estimates, truth[..., :3]))
     return {
         name: {
             part: np.concatenate([tile[f"rmse_{part}_m"] for tile in tiles]) for part in ("3d", "z")

@@ -12,6 +12,7 @@ from aoabench.cell import Cell
 from aoabench.engine.tiles import Draws
 from aoabench.maths import statistics
 from aoabench.maths.geometry import LIGHT
+from aoabench.maths.places import at_places
 
 from .common import SETTINGS, cell_of
 
@@ -88,7 +89,7 @@ def fig3(scale: str) -> pd.DataFrame:
     rows: list[dict[str, Any]] = []
     for setting, words in READINGS.items():
         cell = cell_of(*words)
-        draws = Draws(cell.scenario, cell.noise, cell.seed)
+        draws = Draws(cell.scenario, cell.noise, cell.seed, range(trials))
         found = [e for first in range(0, trials, 8) for e in tile_errors(cell, draws, first)]
         if setting == "chosen":
             for name, grid in GRIDS.items():
@@ -111,11 +112,13 @@ def tile_errors(cell: Cell, draws: Draws, first: int) -> Iterator[Errors]:
     """Errors of the measurements of each of eight trials, thermal deviations of the times, and
     errors of the angles across the line of sight in m, azimuths first.
     """
-    truth, batch = draws.tile(first, 8)
+    truth, batch = draws.tile(first, 8, heard_only=True)
     assert batch.delay is not None
     anchors = cell.scenario.true_anchors
-    offset = truth[:, :, None, :3] - anchors.position
-    local = (anchors.rotation[0, 0] @ offset[..., None])[..., 0]
+    position = at_places(anchors.position, batch.numbers, np.nan)
+    rotation = at_places(anchors.rotation, batch.numbers, np.nan)
+    offset = truth[:, :, None, :3] - position
+    local = (rotation @ offset[..., None])[..., 0]
     d = np.linalg.norm(local, axis=-1)
     azimuth = np.arctan2(local[..., 1], local[..., 0])
     elevation = np.arcsin(local[..., 2] / d)

@@ -8,10 +8,9 @@ import numpy as np
 import pandas as pd
 
 from aoabench.engine import metrics
-from aoabench.engine.tiles import Draws, estimate_tile
 from aoabench.maths import statistics
 
-from .common import FILTERS, METHODS, cell_of
+from .common import FILTERS, METHODS, cell_of, estimated
 
 DIVERGED_M = 15.0  # 3-D RMSE beyond which a trial counts as diverged
 
@@ -121,15 +120,11 @@ def nees(scale: str) -> pd.DataFrame:
     for scenario in ("indoor_map", "indoor_map_model"):
         for sigma in (0.0, 0.5, 5.0):
             cell = cell_of(f"noise.an_sigma_m={sigma}", scenario=scenario, methods=(FILTERS,))
-            draws = Draws(cell.scenario, cell.noise, cell.seed)
             total: dict[str, Any] = dict.fromkeys(cell.estimators, 0.0)
-            for first in range(0, trials, 8):
-                for name, estimator in cell.estimators.items():
-                    truth, found = estimate_tile(draws, estimator, first)
-                    assert found.covariance is not None
-                    total[name] = total[name] + metrics.nees(
-                        found.position - truth[..., :3], found.covariance
-                    ).sum(0)
+            for name, truth, found in estimated(cell, trials):
+                assert found.covariance is not None
+                error = found.position - truth[..., :3]
+                total[name] = total[name] + metrics.nees(error, found.covariance).sum(0)
             for name, value in total.items():
                 each = 5 if scenario == "indoor_map" else 1
                 rows += [
