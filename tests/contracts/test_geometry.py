@@ -35,9 +35,11 @@ CASES = {
     for file in sorted(FOLDER.glob("*.yaml"))
     for case in yaml.safe_load(file.read_text(encoding="utf-8"))
 }
-FREE = ("ls", "ls_lines", "ls_anchor_discarding", "ml_kcorr", "vmf_ml")
+FREE = ("ls", "ls_lines", "ls_anchor_discarding", "ml_kcorr", "vmf_ml", "robust_ml")
 PRINTED = ("ml_arctan", "ml_atan2")  # as printed: wrong where an azimuth jumps
-PLANE = ("vmf_ml", "anchor_mean", "single_anchor_1", "discrepancy", "discrepancy_exact")
+PLANE = (
+    "vmf_ml", "robust_ml", "anchor_mean", "single_anchor_1", "discrepancy", "discrepancy_exact",
+)  # fmt: skip
 
 
 @cache
@@ -128,7 +130,7 @@ def test_right_answer(case, name, engine, want):
 TWICE = [
     pytest.param(case, name, id=f"{key}-{name}")
     for key, case in CASES.items()
-    for name in (*FREE, *PRINTED, *(PLANE[3:] if "height_m" in case else ()))
+    for name in (*FREE, *PRINTED, *(PLANE[4:] if "height_m" in case else ()))
     if len(engines(preset(name))) > 1
 ]
 

@@ -33,6 +33,7 @@ LAWS = {  # by method: law -> "" (it holds) or the reason why it does not
     "ls_anchor_discarding": {"shift": "", "permute": "", "turn": "", "rotate": "", "scale": LENGTH},
     "ml_kcorr": {"shift": "", "permute": "", "turn": "", "rotate": "", "scale": LENGTH},
     "vmf_ml": {"shift": "", "permute": "", "turn": "", "rotate": "", "scale": LENGTH},
+    "robust_ml": {"shift": "", "permute": "", "turn": "", "rotate": "", "scale": LENGTH},
     "anchor_mean": {"shift": "", "permute": "", "turn": "", "rotate": PLANES, "scale": ""},
     "single_anchor_1": {"shift": "", "permute": ORDER, "turn": "", "rotate": PLANES, "scale": ""},
     "discrepancy": {"shift": "", "permute": "", "turn": "boxes", "rotate": PLANES, "scale": LENGTH},

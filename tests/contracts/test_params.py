@@ -50,6 +50,9 @@ OTHERS = {
     "IndoorMap.steps": "null where the route decides",
     "GaussNewton.as_printed": "one erratum of several",
     "VmfLikelihood.height_m": "free",
+    "RobustLikelihood.height_m": "free",
+    "RobustLikelihood.azimuth_sigma_deg": "another default",
+    "RobustLikelihood.elevation_sigma_deg": "null where only azimuths are used",
     "ParticleFilter.engine": "double",
 }
 

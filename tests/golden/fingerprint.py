@@ -31,7 +31,8 @@ PARTICLES = [f"pf_{model}" for model in MODELS]
 SNAPSHOT = ["ls", "ml_arctan", "ml_atan2", "ml_kcorr", "ls_lines", "ls_anchor_discarding", "vmf_ml"]
 ROOM = [
     "anchor_mean", "best_anchor", "discrepancy", "discrepancy_exact", "ls_anchor_discarding",
-    "ls_lines", "rssi_anchor", "single_anchor_1", "single_anchor_2", "single_anchor_3", "vmf_ml",
+    "ls_lines", "robust_ml", "rssi_anchor", "single_anchor_1", "single_anchor_2", "single_anchor_3",
+    "vmf_ml",
 ]  # fmt: skip
 
 
@@ -53,7 +54,7 @@ CASES: dict[str, tuple[list[str], int]] = {  # name: overrides, replications
     ),
     "grid": (
         ["scenario=bs_grid", "noise=ae_normal", "noise.sigma_deg=4",
-         f"estimator={chosen(['ls', 'ml_arctan', 'ml_atan2', 'ml_kcorr', 'vmf_ml'])}"], 2,
+         f"estimator={chosen(['ls', 'ml_arctan', 'ml_atan2', 'ml_kcorr', 'robust_ml', 'vmf_ml'])}"], 2,
     ),
     "map": (
         ["scenario=indoor_map", "noise=ofdm_crlb", "noise.an_sigma_m=0.5", "scenario.dt=2",

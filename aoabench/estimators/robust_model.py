@@ -1,0 +1,136 @@
+"""The model of the robust likelihood in NumPy: the fixes, their lines, the cost and its equations.
+
+N fixes at once; B anchors, of which each fix uses those with a weight. Positions are relative to
+the centre of the anchors used.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from aoabench.estimators.losses import Loss
+from aoabench.kernels.robust_limits import FLAT, STEEP, TINY
+from aoabench.maths.geometry import Array, to_unit, wrap
+from aoabench.maths.linalg import solve
+
+
+class Fixes(NamedTuple):
+    """Angles (N, B) rad of N fixes, 0 where not measured, and 1 / variance, 0 where not measured;
+    anchors s (N, B, 3) m from the centre of those used, rotations R (N, B, 3, 3); z (N,) m: the
+    height of the fixes, if it is known or does not matter (flat); measured rays ahead (N, B, 3);
+    redundancy (N,): the number of angles less that of unknowns.
+    """
+
+    phi: Array
+    theta: Array
+    wa: Array
+    we: Array
+    s: Array
+    R: Array
+    flat: np.ndarray
+    z: Array
+    ahead: Array
+    redundancy: np.ndarray
+
+    def those(self, index: np.ndarray) -> Fixes:
+        """The fixes with these indices."""
+        return Fixes(*(a[index] for a in self))
+
+
+class Lines(NamedTuple):
+    """Projectors A (N, B, 3, 3) across the measured lines and planes, and g = A s (N, B, 3)."""
+
+    A: Array
+    g: Array
+
+    def nearest(self, weight: Array, f: Fixes) -> Array:
+        """The points (N, 3) m nearest to the lines of a mask (N, B), NaN if not determined."""
+        A = (weight[..., None, None] * self.A).sum(axis=1)
+        g = (weight[..., None] * self.g).sum(axis=1)
+        g[:, :2] -= np.where(f.flat[:, None], A[:, :2, 2] * f.z[:, None], 0.0)
+        flattened(A, g, f.flat)
+        p = solve(A, g)
+        p[:, 2] = np.where(f.flat, f.z, p[:, 2])
+        return p
+
+
+def flattened(A: Array, g: Array, flat: np.ndarray) -> None:
+    """Leave z out of the equations A (N, 3, 3), g (N, 3) of the fixes that are `flat` (N,)."""
+    A[flat, 2, :2] = A[flat, :2, 2] = g[flat, 2] = 0.0
+    A[flat, 2, 2] = A[flat, 0, 0] + A[flat, 1, 1]
+
+
+def prepared(
+    angles: tuple[Array, Array, Array, Array], s: Array, R: Array, height: float
+) -> tuple[Fixes, Lines, Array]:
+    """Fixes, their lines and the centres (N, 3) m of the anchors used, from angles and weights
+    (N, B) and anchors (N, B, ...); `height` is NaN where the target's is not known.
+    """
+    phi, theta, wa, we = angles
+    used, line = wa > 0, we > 0
+    n = np.maximum(used.sum(axis=1), 1)[:, None]
+    centre = np.where(used[..., None], s, 0.0).sum(axis=1) / n
+    s = np.where(used[..., None], s - centre[:, None], 0.0)
+    u = _turned(to_unit(phi, theta), R)
+    v = _turned(np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=-1), R)
+    along = np.where(line[..., None], u, v)
+    A = (1.0 * used - 2.0 * line)[..., None, None] * (along[..., :, None] * along[..., None, :])
+    A += line[..., None, None] * np.eye(3)
+    up, across = (v[..., 2] ** 2 * used).sum(axis=1), ((v[..., :2] ** 2).sum(-1) * used).sum(axis=1)
+    level = ~line.any(axis=1) & (up <= FLAT * across)
+    known = bool(np.isfinite(height))
+    flat = level | known
+    z = np.where(flat & known, height - centre[:, 2], 0.0)
+    g = (A @ s[..., None])[..., 0]
+    redundancy = used.sum(axis=1) + line.sum(axis=1) - np.where(flat, 2, 3)
+    return Fixes(phi, theta, wa, we, s, R, flat, z, u, redundancy), Lines(A, g), centre
+
+
+def _turned(u: Array, R: Array) -> Array:
+    return np.asarray((u[..., None, :] @ R)[..., 0, :])
+
+
+class State(NamedTuple):
+    """Cost (N,) at a position, normal equations A (N, 3, 3) and g (N, 3), weights (N, B) of both
+    angles, sum (N,) of the weighted squared deviations, the largest one (N,), and the distance (N,)
+    m from the nearest pole.
+    """
+
+    cost: Array
+    A: Array
+    g: Array
+    by_azimuth: Array
+    by_elevation: Array
+    squares: Array
+    largest: Array
+    pole: Array
+
+
+def state(f: Fixes, p: Array, loss: Loss, m: Array | float = STEEP, capped: bool = False) -> State:
+    """The likelihood and the Gauss-Newton equations of positions p (N, 3) m, with the weights of
+    the loss. Equations for a covariance are `capped`: near an anchor's pole, its azimuth counts as
+    at one deviation of the elevation from it.
+    """
+    m = np.asarray(m)[..., None] if np.ndim(m) else m
+    u, v, w = np.moveaxis((f.R @ (p[:, None] - f.s)[..., None])[..., 0], -1, 0)
+    rho2 = np.maximum(u * u + v * v, TINY)
+    rho, r2 = np.sqrt(rho2), rho2 + w * w
+    da, de = wrap(f.phi - np.arctan2(v, u)), f.theta - np.arctan2(w, rho)
+    sa, se = f.wa * da * da, f.we * de * de
+    wa, we = loss.weight(sa, m), loss.weight(se, m)
+    ga = np.stack([-v, u, np.zeros_like(u)], axis=-1) / rho2[..., None]
+    ge = np.stack([-u * w / rho, -v * w / rho, rho], axis=-1) / r2[..., None]
+    ga, ge = _turned(ga, f.R), _turned(ge, f.R)
+    ca, ce = f.wa * wa, f.we * we
+    if capped:
+        ca = np.where(f.we > 0, ca * np.minimum(1.0, rho2 * f.we / r2), ca)
+    A = np.einsum("nb,nbi,nbj->nij", ca, ga, ga) + np.einsum("nb,nbi,nbj->nij", ce, ge, ge)
+    g = np.einsum("nb,nbi->ni", ca * da, ga) + np.einsum("nb,nbi->ni", ce * de, ge)
+    flattened(A, g, f.flat)
+    cost = 0.5 * (loss.of(sa, m) + loss.of(se, m)).sum(axis=1)
+    squares = (wa * sa + we * se).sum(axis=1)
+    pole = np.where(f.wa > 0, rho, np.inf).min(axis=1, initial=np.inf)
+    largest = np.maximum(sa, se).max(axis=1, initial=0.0)
+    return State(cost, A, g, wa, we, squares, largest, pole)

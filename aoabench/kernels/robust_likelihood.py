@@ -1,0 +1,200 @@
+"""One fix of the robust likelihood: its anchors, lines, residuals, losses and normal equations.
+
+The arithmetic of `estimators.robust_reference` and `estimators.losses`. The measurements of a fix
+are copied into the rows of an array, padded with weight 0 to a multiple of `LANES`, so that the
+loops over its anchors vectorise.
+"""
+
+from __future__ import annotations
+
+import math
+
+from aoabench.kernels.angles import angle, sine_cosine, wrapped
+from aoabench.kernels.compile import called, inlined
+from aoabench.kernels.robust_limits import FLAT, TINY
+from aoabench.kernels.small import solve
+
+LANES = 4
+NORMAL, STUDENT, HUBER, TRUNCATED = range(4)
+PHI, THETA, WA, WE, X, Y, Z = range(7)  # rows of q; then those of the rotation
+R00, R01, R02, R10, R11, R12, R20, R21, R22 = range(7, 16)
+DA, DE, SA, SE, U, V, W, CA, CE = range(9)  # rows of d
+
+
+@inlined
+def weight(loss, k, m, s):
+    """The derivative of `cost`."""
+    if loss == STUDENT:
+        return (k + 1.0) / (k + s)
+    if loss == HUBER:
+        return min(1.0, k / math.sqrt(max(s, TINY)))
+    if loss == TRUNCATED:
+        found = k * math.sqrt(m * (m + 1.0)) / math.sqrt(max(s, TINY)) - m
+        return min(max(found, 0.0), 1.0)
+    return 1.0
+
+
+@inlined
+def cost(loss, k, m, s):
+    """rho of a squared deviation, as `losses.Loss`; that of `student` in `costs`."""
+    if loss == HUBER:
+        return s if s <= k * k else 2.0 * k * math.sqrt(s) - k * k
+    if loss == TRUNCATED:
+        if s >= k * k * (m + 1.0) / m:
+            return k * k
+        between = 2.0 * k * math.sqrt(s * m * (m + 1.0)) - m * (k * k + s)
+        return s if s <= k * k * m / (m + 1.0) else between
+    return s
+
+
+@called
+def costs(loss, k, m, d, n):
+    """Half the sum of rho over the first n anchors."""
+    total = 0.0
+    for j in range(n):
+        if loss == STUDENT:
+            total += (k + 1.0) * math.log((1.0 + d[SA, j] / k) * (1.0 + d[SE, j] / k))
+        else:
+            total += cost(loss, k, m, d[SA, j]) + cost(loss, k, m, d[SE, j])
+    return 0.5 * total
+
+
+@called
+def gathered(phi, theta, wa, we, s, R, q):
+    """Copy the anchors that measured into q; their number, the number of rays and the centre."""
+    n, rays, x, y, z = 0, 0, 0.0, 0.0, 0.0
+    for j in range(len(phi)):
+        if wa[j] > 0.0:
+            q[PHI, n], q[THETA, n], q[WA, n], q[WE, n] = phi[j], theta[j], wa[j], we[j]
+            q[X, n], q[Y, n], q[Z, n] = s[j, 0], s[j, 1], s[j, 2]
+            for i in range(3):
+                for c in range(3):
+                    q[R00 + 3 * i + c, n] = R[j, i, c]
+            x, y, z = x + s[j, 0], y + s[j, 1], z + s[j, 2]
+            n, rays = n + 1, rays + (1 if we[j] > 0.0 else 0)
+    if n > 0:
+        x, y, z = x / n, y / n, z / n
+        for j in range(n):
+            q[X, j], q[Y, j], q[Z, j] = q[X, j] - x, q[Y, j] - y, q[Z, j] - z
+        for j in range(n, n + -n % LANES):
+            for i in range(len(q)):
+                q[i, j] = q[i, n - 1]
+            q[WA, j] = q[WE, j] = 0.0
+    return n, rays, x, y, z
+
+
+@called
+def projected(q, n, l):
+    """Write the projector across each ray or plane, and its product with the anchor, into l (9, B);
+    whether the planes are vertical.
+    """
+    up = across = 0.0
+    for j in range(n):
+        sp, cp = sine_cosine(q[PHI, j])
+        st, ct = sine_cosine(q[THETA, j])
+        vx, vy, vz = (
+            cp * q[R10, j] - sp * q[R00, j],
+            cp * q[R11, j] - sp * q[R01, j],
+            cp * q[R12, j] - sp * q[R02, j],
+        )
+        up, across = up + vz * vz, across + vx * vx + vy * vy
+        one = 0.0
+        if q[WE, j] > 0.0:
+            a, b, one = cp * ct, sp * ct, 1.0
+            vx = a * q[R00, j] + b * q[R10, j] + st * q[R20, j]
+            vy = a * q[R01, j] + b * q[R11, j] + st * q[R21, j]
+            vz = a * q[R02, j] + b * q[R12, j] + st * q[R22, j]
+        f = 1.0 - 2.0 * one
+        x, y, z = q[X, j], q[Y, j], q[Z, j]
+        along = f * (vx * x + vy * y + vz * z)
+        l[0, j], l[1, j], l[2, j] = one + f * vx * vx, f * vx * vy, one + f * vy * vy
+        l[3, j], l[4, j], l[5, j] = f * vx * vz, f * vy * vz, one + f * vz * vz
+        l[6, j], l[7, j] = one * x + along * vx, one * y + along * vy
+        l[8, j] = one * z + along * vz
+    return up <= FLAT * across
+
+
+@called
+def nearest(flat, z, a00, a10, a11, a20, a21, a22, g0, g1, g2):
+    """The point nearest to lines, at the height z if `flat`, and whether they determine it."""
+    if flat:
+        g0, g1, g2 = g0 - a20 * z, g1 - a21 * z, 0.0
+        a20, a21, a22 = 0.0, 0.0, a00 + a11
+    x, y, w, sound = solve(a00, a10, a11, a20, a21, a22, g0, g1, g2)
+    return x, y, z if flat else w, sound
+
+
+@inlined
+def nearest_to_all(flat, z, l, n):
+    """The point nearest to all lines, and whether they determine it."""
+    a, b, c, d, e, f, g, h, i = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(n):
+        a, b, c = a + l[0, j], b + l[1, j], c + l[2, j]
+        d, e, f = d + l[3, j], e + l[4, j], f + l[5, j]
+        g, h, i = g + l[6, j], h + l[7, j], i + l[8, j]
+    return nearest(flat, z, a, b, c, d, e, f, g, h, i)
+
+
+@called
+def residuals(x, y, z, q, d, n):
+    """Write differences, squared deviations and the anchors' views of (x, y, z) into d; the least
+    squared distance from a pole.
+    """
+    least = math.inf
+    for j in range(n + -n % LANES):
+        dx, dy, dz = x - q[X, j], y - q[Y, j], z - q[Z, j]
+        u = q[R00, j] * dx + q[R01, j] * dy + q[R02, j] * dz
+        v = q[R10, j] * dx + q[R11, j] * dy + q[R12, j] * dz
+        w = q[R20, j] * dx + q[R21, j] * dy + q[R22, j] * dz
+        rho2 = max(u * u + v * v, TINY)
+        rho = math.sqrt(rho2)
+        da = wrapped(q[PHI, j] - angle(v, u, rho))
+        de = q[THETA, j] - angle(w, rho, math.sqrt(rho2 + w * w))
+        d[DA, j], d[DE, j], d[U, j], d[V, j], d[W, j] = da, de, u, v, w
+        d[SA, j], d[SE, j] = q[WA, j] * da * da, q[WE, j] * de * de
+        least = min(least, rho2)
+    return least
+
+
+@called
+def weigh(loss, k, m, q, d, n):
+    """Write the weights of both angles over their variances into d; the weighted squares."""
+    total = 0.0
+    for j in range(n + -n % LANES):
+        a, e = weight(loss, k, m, d[SA, j]), weight(loss, k, m, d[SE, j])
+        d[CA, j], d[CE, j] = q[WA, j] * a, q[WE, j] * e
+        total += a * d[SA, j] + e * d[SE, j]
+    return total
+
+
+@called
+def equations(flat, capped, q, d, n):
+    """Normal equations from the weights and views in d; those of the covariance are `capped`: near
+    an anchor's pole, its azimuth counts as at one deviation of the elevation from it.
+    """
+    a00 = a10 = a11 = a20 = a21 = a22 = g0 = g1 = g2 = 0.0
+    for j in range(n + -n % LANES):
+        u, v, w, a, e = d[U, j], d[V, j], d[W, j], d[CA, j], d[CE, j]
+        rho2 = max(u * u + v * v, TINY)
+        r2, t = rho2 + w * w, w / math.sqrt(rho2)
+        a = a * min(1.0, rho2 * q[WE, j] / r2) if capped & (q[WE, j] > 0.0) else a
+        ia, ie = 1.0 / rho2, 1.0 / r2
+        rho = math.sqrt(rho2)
+        p0 = (u * q[R10, j] - v * q[R00, j]) * ia
+        p1 = (u * q[R11, j] - v * q[R01, j]) * ia
+        p2 = (u * q[R12, j] - v * q[R02, j]) * ia
+        h0 = (rho * q[R20, j] - t * (u * q[R00, j] + v * q[R10, j])) * ie
+        h1 = (rho * q[R21, j] - t * (u * q[R01, j] + v * q[R11, j])) * ie
+        h2 = (rho * q[R22, j] - t * (u * q[R02, j] + v * q[R12, j])) * ie
+        a00 += a * p0 * p0 + e * h0 * h0
+        a10 += a * p0 * p1 + e * h0 * h1
+        a11 += a * p1 * p1 + e * h1 * h1
+        a20 += a * p0 * p2 + e * h0 * h2
+        a21 += a * p1 * p2 + e * h1 * h2
+        a22 += a * p2 * p2 + e * h2 * h2
+        g0 += a * p0 * d[DA, j] + e * h0 * d[DE, j]
+        g1 += a * p1 * d[DA, j] + e * h1 * d[DE, j]
+        g2 += a * p2 * d[DA, j] + e * h2 * d[DE, j]
+    if flat:
+        a20, a21, a22, g2 = 0.0, 0.0, a00 + a11, 0.0
+    return a00, a10, a11, a20, a21, a22, g0, g1, g2
