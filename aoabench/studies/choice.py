@@ -47,12 +47,20 @@ def _hint(word: str, known: Sequence[str]) -> str:
 
 def cheapest_first(pairs: Sequence[Pair], seconds: Mapping[str, float]) -> list[Pair]:
     """The items ordered by their expected `seconds` (see progress.expected); items that share an
-    experiment stay together, since the first of them computes for all.
+    experiment stay together, since the first of them computes for all, and an item comes after the
+    one that it names.
     """
     cost: dict[tuple[str, str], float] = {}
     for s, item in pairs:
         cost[_group(s, item)] = cost.get(_group(s, item), 0.0) + seconds[f"{s.name}/{item.name}"]
-    return sorted(pairs, key=lambda pair: (cost[_group(*pair)], _group(*pair)))
+    group_of = {(s.name, item.name): _group(s, item) for s, item in pairs}
+
+    def rank(pair: Pair) -> tuple[float, int, tuple[str, str]]:
+        own, first = _group(*pair), group_of.get((pair[0].name, pair[1].after or ""))
+        later = first is not None and cost[own] <= cost[first]
+        return cost[first if later and first else own], int(later), own
+
+    return sorted(pairs, key=rank)
 
 
 def _group(s: Study, item: Item) -> tuple[str, str]:

@@ -61,6 +61,17 @@ def test_cheap_items_come_first_and_those_of_one_experiment_stay_together():
     ]  # fig6, fig7, table1 share one experiment: 3 s
 
 
+@pytest.mark.parametrize("fig4", [1.0, 50.0, 300.0])
+def test_an_item_comes_after_the_one_that_has_a_part_of_its_replications(fig4):
+    """Whichever took longer when it was last computed."""
+    pairs = chosen(["nurminen2018"], "readings,fig4,frames,layouts", KNOWN)
+    seconds = {"nurminen2018/fig4": fig4, "nurminen2018/readings": 60.0}
+    seconds |= {"nurminen2018/frames": 30.0, "nurminen2018/layouts": 2.0}
+    found = [name.split("/")[1] for name in names(cheapest_first(pairs, seconds))]
+    assert found.index("fig4") < min(found.index("layouts"), found.index("readings"))
+    assert (found[0] == "frames") == (fig4 > 30)
+
+
 def test_the_first_figure_is_cheap_at_both_scales():
     for scale in ("quick", "paper"):
         seconds = progress.expected(scale)
