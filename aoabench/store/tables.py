@@ -265,24 +265,36 @@ def note_timing(out: Path, timing: Mapping[str, Any]) -> None:
     manifest.publish(out, _of_records(out, index), index.before)
 
 
-def load(out: str | os.PathLike[str]) -> pd.DataFrame:
-    """One tidy frame: a row per cell x estimator x replication, with a column per swept parameter.
+def load(out: str | os.PathLike[str], cells: Sequence[str] | None = None) -> pd.DataFrame:
+    """One tidy frame: a row per cell x estimator x replication, with a column per swept parameter;
+    with `cells`, of the cells with these ids alone.
 
     Columns that tables of an earlier schema lack are NaN or None. Raises UserError if `out` holds
     no run, or tables of an unknown schema, and RunError if they are torn or altered.
     """
-    return shown(out, "tidy")["tidy"]
+    return shown(out, "tidy", cells=cells)["tidy"]
 
 
-def shown(out: str | os.PathLike[str], *names: str) -> dict[str, pd.DataFrame]:
-    """The named tables of a run as frames that belong together; `tidy` is that of `load`. Raises as
-    `load` does.
+def shown(
+    out: str | os.PathLike[str], *names: str, cells: Sequence[str] | None = None
+) -> dict[str, pd.DataFrame]:
+    """The named tables of a run as frames that belong together, of all cells or of those with the
+    ids `cells`; `tidy` is that of `load`. Raises as `load` does.
     """
     root = Path(out)
     found = manifest.read_together(root, dict.fromkeys(names))
     if found is None:
-        return earlier.shown(root, names)
-    frames = {name: table.to_pandas() for name, table in found[0].items()}
+        whole = earlier.shown(root, names)
+        return {n: f if cells is None else f[f["cell"].isin(cells)] for n, f in whole.items()}
+    frames = {name: _of_cells(table, cells).to_pandas() for name, table in found[0].items()}
     if "tidy" in frames:
         frames["tidy"] = frames["tidy"].sort_values("cell", kind="stable", ignore_index=True)
     return frames
+
+
+def _of_cells(table: pa.Table, cells: Sequence[str] | None) -> pa.Table:
+    """The rows of the cells with some ids, before they become a frame; all without ids."""
+    from pyarrow.compute import field
+
+    # a list without any text has no type
+    return table if cells is None else table.filter(field("cell").isin([*cells, ""]))

@@ -85,7 +85,7 @@ def compute(
             reader = _READERS[item.reads]
             found = ((c, Read(reader, out, c.id, c.estimators, ran.reps[c.id])) for c in ran.cells)
             return reduce(found), origin
-        frame = tables.load(out)
+        frame = tables.load(out, [cell.id for cell in ran.cells])
         wanted = {(c.id, name): ran.reps[c.id] for c in ran.cells for name in c.estimators}
         kept = [wanted.get(pair, 0) for pair in zip(frame["cell"], frame["estimator"])]
         return reduce(frame[frame["replication"] < kept]), origin

@@ -78,6 +78,18 @@ def test_load_returns_the_replications_in_the_order_of_the_cells_names(out):
     assert pd.read_parquet(out / "tidy.parquet")["cell"].tolist() == ["b"] * 4 + ["a"] * 8
 
 
+@pytest.mark.parametrize("which", ["out", "old"])
+def test_load_of_some_cells_is_their_part_of_the_whole(which, request):
+    """From today's tables and from those of an earlier version."""
+    folder = request.getfixturevalue(which)
+    whole = tables.load(folder)
+    for ids in (["a"], ["b", "a"], ["c"], []):
+        part = whole[whole["cell"].isin(ids)].reset_index(drop=True)
+        found = tables.load(folder, ids).reset_index(drop=True)
+        assert found["cell"].tolist() == part["cell"].tolist()
+        pd.testing.assert_frame_equal(found, part, check_dtype=bool(ids))
+
+
 def test_tables_of_changed_cells_alone_equal_those_of_all(out, monkeypatch):
     """A new cell at the end, at the start, in the middle with another parameter; an estimator less
     and more in a cell; small batches and groups of rows.
