@@ -238,6 +238,6 @@ def test_each_replication_keeps_its_own_anchors_when_a_tile_is_repeated():
     _, tried, errors = tiles.try_tile(draws, Picky(inner), 8)
     assert errors == {13: "ValueError: 5"}
     others = np.arange(8) != 5
-    assert np.array_equal(tried.position[others], plain.position[others])
-    assert np.array_equal(tried.covariance[others], plain.covariance[others])
+    assert np.array_equal(tried.position[others], plain.position[:8][others])
+    assert np.array_equal(tried.covariance[others], plain.covariance[:8][others])
     assert np.isnan(tried.position[5]).all()
