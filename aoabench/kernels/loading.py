@@ -24,6 +24,7 @@ _MODULES = (
     "centroid",
     "vmf",
     "lines",
+    "robust",
     "discrepancy",
 )
 Say = Callable[[str], None]
@@ -126,6 +127,8 @@ def kernels_of(module: ModuleType, entries: Sequence[str] = ()) -> list[Any]:
 
 def _compile(kernels: Sequence[Any], say: Say) -> None:
     """Compile or load kernels, with the help of other processes if several were never compiled."""
+    if not kernels:
+        return
     missing = [kernel for kernel in kernels if not kernel.noted]
     if missing:
         say(_compiling(missing[0].kept))

@@ -244,13 +244,13 @@ def test_a_worker_without_memory(tmp_path, monkeypatch):
 # --- altered parts --------------------------------------------------------------------------------
 
 
-def small(out, reps=40):
+def small(out, reps=64):
     words = [
         "noise=vmf",
         "filter=[pf_vmf]",
         "filter.pf_vmf.particles=50",
         f"reps={reps}",
-        "runner.chunk=10",
+        "runner.chunk=16",
         "runner.n_jobs=1",
     ]
     return runner.run(compose_cells([*words, f"runner.out={out}"]), progress=False)
@@ -271,7 +271,7 @@ def whole(tmp_path_factory):
 def test_an_altered_part_is_found_computed_again_and_reported(file, how, whole, tmp_path, capsys):
     shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
     before = whole[1]
-    victim = sorted((tmp_path / "parts").glob(f"*/000000010-*.{file}"))[0]
+    victim = sorted((tmp_path / "parts").glob(f"*/000000016-*.{file}"))[0]
     data = bytearray(victim.read_bytes())
     place = {"first byte": 0, "middle byte": len(data) // 2, "last byte": -1}.get(how)
     if place is not None:
@@ -280,17 +280,17 @@ def test_an_altered_part_is_found_computed_again_and_reported(file, how, whole, 
     if how == "deleted":
         victim.unlink()
     untouched = {
-        file: t for file, t in checksums(tmp_path).items() if "000000010-" not in file.name
+        file: t for file, t in checksums(tmp_path).items() if "000000016-" not in file.name
     }
     capsys.readouterr()
     done = small(tmp_path)
-    assert (done.computed, done.reused) == (10, 30)
+    assert (done.computed, done.reused) == (16, 48)
     said = capsys.readouterr().err
     if (file, how) == ("json", "deleted"):  # then nothing says that it was ever finished
         assert not done.damaged
     else:
         assert len(done.damaged) == 1
-        assert "000000010-000000020: altered or torn; computed again" in said
+        assert "000000016-000000032: altered or torn; computed again" in said
     assert_kept(untouched, tmp_path)
     assert_same(tmp_path, before)
     done = small(tmp_path)

@@ -62,7 +62,8 @@ def test_bench_and_animation_write_the_same_place(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", ["benchmarks", "--only", "start"])
     monkeypatch.setattr(bench, "measured", lambda *_: pd.DataFrame({"part": ["start"]}))
-    monkeypatch.setattr(bench.show, "draw", lambda _, path: path.touch())
+    for drawing in (bench.show, bench.cost):
+        monkeypatch.setattr(drawing, "draw", lambda _, path: path.touch())
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "bench.md").write_text("as it was")
     bench.main()
