@@ -147,7 +147,7 @@ def run(method, batch, scenario):
 @pytest.mark.parametrize("name", FILTERS)
 def test_the_law_holds_where_the_table_says_so(name, law, engine):
     """A law that does not hold is off by more than a thousandth of a deviation, so that the table's
-    reason is about something that exists.
+    reason is about something that exists; near ties move a cloud by less than its deviation.
     """
     for n in (3,) if name.startswith("pf") else (3, 6):
         given = problem(n)
@@ -157,7 +157,9 @@ def test_the_law_holds_where_the_table_says_so(name, law, engine):
         deviation = np.sqrt(np.trace(before.covariance, axis1=-2, axis2=-1))
         stated = TABLE[law][name]
         tolerance = CLOUD if stated == TIES and engine == "numpy" else stated
-        if isinstance(tolerance, str):
+        if tolerance == TIES:  # whether there is one depends on the processor
+            assert np.all(apart < deviation)
+        elif isinstance(tolerance, str):
             assert np.any(apart > 1e-3 * deviation)
         else:
             assert np.all(apart <= tolerance * (deviation if tolerance == CLOUD else 1.0))
