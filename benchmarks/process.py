@@ -20,6 +20,13 @@ from aoabench.studies import study
 from benchmarks.timing import MODELS, Row, cell_of
 
 COMMAND = [sys.executable, "-m", "aoabench.cli"]
+# a shell's background jobs ignore interrupts
+_INTERRUPTIBLE = [
+    sys.executable,
+    "-c",
+    "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); "
+    "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])",
+]
 
 
 def start(repeats: int) -> Iterator[Row]:
@@ -80,12 +87,10 @@ def _interrupted(out: Path) -> float:
     """Seconds that a run takes to end after an interrupt, sent once its first part is stored."""
     words = ["run", "filter=[pf_vmf]", "reps=100000", "runner.n_jobs=2", f"runner.out={out}"]
     run = subprocess.Popen(
-        [*COMMAND, *words],
+        [*_INTERRUPTIBLE, *COMMAND[1:], *words],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
-        # a shell's background jobs ignore interrupts
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     while not list(out.glob("parts/*/*.json")) and run.poll() is None:
         time.sleep(0.05)
