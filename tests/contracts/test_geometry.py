@@ -142,8 +142,11 @@ def test_both_engines_agree(case, name):
     assert fast.outcome == slow.outcome
     assert fast.reason == slow.reason
     far = np.abs(np.nan_to_num(fast.position)).max()
-    size = far + np.abs(batch_of(case).anchors.position).max()
-    assert np.allclose(fast.position, slow.position, rtol=0, atol=1e-7 * size, equal_nan=True)
+    place = batch_of(case).anchors.position
+    size, apart = far + np.abs(place).max(), np.ptp(place, axis=-2).max()
+    # a rounding of a direction moves a far fix by far / apart of itself, in each of 1000 updates
+    close = 1e-7 + 1000 * np.finfo(float).eps * far / max(apart, 1e-3)
+    assert np.allclose(fast.position, slow.position, rtol=0, atol=close * size, equal_nan=True)
     assert np.isnan(fast.covariance).all() == np.isnan(slow.covariance).all()
 
 
