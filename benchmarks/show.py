@@ -28,8 +28,8 @@ def _figure(frame: pd.DataFrame) -> Any:
         axes[0].plot([], [], "o", color=plots.COLOURS[key], label=label)
     axes[1].plot([], [], "o", color=plots.GREY, label="EKF")
     axes[1].plot([], [], "s", color=plots.GREY, label="UKF")
-    for axis in axes:
-        axis.legend(loc="upper right", fontsize=6)
+    for axis, corner in zip(axes, ("lower left", "upper right")):
+        axis.legend(loc=corner, fontsize=6)
     return figure
 
 
