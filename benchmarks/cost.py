@@ -141,7 +141,9 @@ def _figure(frame: pd.DataFrame, rows: pd.DataFrame) -> Any:
     figure, axes = plots.new(plots.PAGE, 4.6, rows=2, cols=2)
     for axis, (name, (measured, unit, _)) in zip(np.ravel(axes), MEASURED.items()):
         slopes = frame[frame["what"] == f"{WHAT} {name}"]
-        _panel(axis, rows[rows["what"] == f"{WHAT} {name} in sizes"], slopes)
+        part = rows[rows["what"] == f"{WHAT} {name} in sizes"]
+        if len(part):
+            _panel(axis, part, slopes)
         axis.set_xlabel(f"number of {name}")
         axis.set_ylabel(f"processor time of {measured} in {unit.replace('us', 'µs')}")
     return figure

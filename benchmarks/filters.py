@@ -113,7 +113,7 @@ def access_nodes(repeats: int) -> Iterator[Row]:
         "median, in turn; tiles of 32 trials, 3065 steps, 9 states, 8 of 107 access nodes; one core"
     )
     for name, lap in laps.items():
-        target = "at most 4" if name == "ekf_toa_aoa" else ""
+        target = "at most 0.5" if name == "wcg" else "at most 1"
         yield Row("access-node step", name, 1e6 * found[name] / lap.steps, "us", target, how)
     us = 1e6 * found["numpy"] / slow.steps
     yield Row("access-node step in NumPy", "ekf_toa_aoa", us, "us", "", how)
