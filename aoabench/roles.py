@@ -17,7 +17,7 @@ from aoabench.errors import BadValue, Unfit
 from aoabench.maths.geometry import Array
 from aoabench.params import CheckedParams
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Calibration, Estimates, Measurements
+from aoabench.types import Anchors, Batch, Calibration, Estimates, Measurements, Tracks
 
 # needs of estimators: the config group that offers each, and its description
 NEEDS = {
@@ -65,6 +65,11 @@ class Scenario(CheckedParams):
     @property
     def recorded(self) -> Measurements | None:
         """Recorded measurements (T, B) that replace those of the noise, or None."""
+        return None
+
+    @property
+    def tracks(self) -> Tracks | None:
+        """Recorded tracks, of which each is a replication, or None."""
         return None
 
     @property

@@ -179,6 +179,41 @@ class Measurements:
 
 
 @dataclass(frozen=True)
+class Tracks:
+    """Recorded tracks: each has the fixes of one tag in the order of time.
+
+    The arrays hold the F fixes of all tracks, one track after the other. tags (R,): the name of
+    each track's tag, "" in a log without tags; several tracks may have the same tag. counts (R,):
+    the number of each track's fixes. time (F,) s, NaN = unknown; fix (F,): their names as recorded;
+    truth (F, 3) m, NaN = unknown; measured: arrays (F, B); packets (F,): the number of packets used.
+    columns (B,): the number of the anchor of each column of `measured`; several may have the same.
+    """
+
+    tags: tuple[str, ...]
+    counts: np.ndarray
+    time: Array
+    fix: np.ndarray
+    truth: Array
+    measured: Measurements
+    packets: np.ndarray
+    columns: np.ndarray
+
+    @property
+    def starts(self) -> np.ndarray:
+        """The index (R + 1,) of each track's first fix, and F."""
+        return np.concatenate([[0], np.cumsum(self.counts)])
+
+    @classmethod
+    def single(cls, truth: Array, measured: Measurements) -> Tracks:
+        """One track without a tag and times: true positions (F, 3) m and measurements (F, B)."""
+        F, B = measured.azimuth.shape
+        fix = np.array([str(i) for i in range(F)], dtype=object)
+        count = np.isfinite(measured.azimuth).sum(axis=1)
+        nan = np.full(F, np.nan)
+        return cls(("",), np.array([F]), nan, fix, truth, measured, count, np.arange(B))
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Known deviations of an angular noise.
 

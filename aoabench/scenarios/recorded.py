@@ -26,7 +26,7 @@ from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
 from aoabench.scenarios.parameters import least_heard_param, name_param
-from aoabench.types import Anchors, Measurements
+from aoabench.types import Anchors, Measurements, Tracks
 
 
 @dataclass(frozen=True)
@@ -198,6 +198,11 @@ class Recorded(Scenario):
     def recorded(self) -> Measurements:
         """The recorded measurements (T, B), in aoabench's conventions."""
         return self._log.measured
+
+    @property
+    def tracks(self) -> Tracks:
+        """The recorded tracks."""
+        return Tracks.single(self._log.truth, self._log.measured)
 
     @property
     def notes(self) -> tuple[str, ...]:
