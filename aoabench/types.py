@@ -185,8 +185,8 @@ class Tracks:
     The arrays hold the F fixes of all tracks, one track after the other. tags (R,): the name of
     each track's tag, "" in a log without tags; several tracks may have the same tag. counts (R,):
     the number of each track's fixes. time (F,) s, NaN = unknown; fix (F,): their names as recorded;
-    truth (F, 3) m, NaN = unknown; measured: arrays (F, B); packets (F,): the number of packets used.
-    columns (B,): the number of the anchor of each column of `measured`; several may have the same.
+    truth (F, 3) m, NaN = unknown; measured: arrays (F, B); packets (F,): the packets in each fix.
+    columns (B,): the number of each column's anchor; several columns may have the same.
     """
 
     tags: tuple[str, ...]
@@ -207,9 +207,8 @@ class Tracks:
     def single(cls, truth: Array, measured: Measurements) -> Tracks:
         """One track without a tag and times: true positions (F, 3) m and measurements (F, B)."""
         F, B = measured.azimuth.shape
-        fix = np.array([str(i) for i in range(F)], dtype=object)
-        count = np.isfinite(measured.azimuth).sum(axis=1)
-        nan = np.full(F, np.nan)
+        fix = np.arange(F).astype(str).astype(object)
+        nan, count = np.full(F, np.nan), np.isfinite(measured.azimuth).sum(axis=1)
         return cls(("",), np.array([F]), nan, fix, truth, measured, count, np.arange(B))
 
 
