@@ -63,18 +63,11 @@ class Scenario(CheckedParams):
         raise NotImplementedError
 
     @property
-    def recorded(self) -> Measurements | None:
-        """Recorded measurements (T, B) that replace those of the noise, or None."""
-        return None
-
-    @property
     def tracks(self) -> Tracks | None:
-        """Recorded tracks, of which each is a replication, or None; one track if `recorded` has
-        measurements.
+        """Recorded tracks, whose measurements replace those of the noise and of which each is a
+        replication, or None.
         """
-        if self.recorded is None:
-            return None
-        return Tracks.single(self.truth(np.random.default_rng(0))[:, :3], self.recorded)
+        return None
 
     @property
     def notes(self) -> tuple[str, ...]:
