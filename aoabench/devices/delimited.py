@@ -70,7 +70,7 @@ class Delimited(Content):
             header=None,
             skiprows=known.skipped,
             names=range(len(known.names) + 1),
-            usecols=used if len(known.names) > _MANY else None,
+            usecols=np.array(used) if len(known.names) > _MANY else None,
             index_col=False,
             dtype={place: str for place in texts if place in used},
             na_values=empty,
