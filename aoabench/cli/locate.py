@@ -112,13 +112,14 @@ def _print(found: Located) -> None:
     """Print the first rows and what the table says."""
     from aoabench.deployment import summary
 
-    scenario = found.asked.scenario
-    for line in (*summary.head(found.frame, _SHOWN), *summary.lines(found.frame, found.asked.name)):
+    asked, frame = found.asked, found.frame
+    for line in (*summary.head(frame, _SHOWN), *summary.lines(frame, asked.name)):
         say(line)
-    for line in summary.residual_lines(found.residuals, scenario.labels, scenario.azimuth_sense):
+    sense = asked.scenario.azimuth_sense
+    for line in summary.residual_lines(found.residuals, asked.anchor_names, sense):
         say(line)
     if found.with_truth:
-        for line in summary.accuracy_lines(summary.accuracy(found.frame)):
+        for line in summary.accuracy_lines(summary.accuracy(frame)):
             say(line)
 
 

@@ -71,7 +71,7 @@ def heard(tracks: Tracks) -> np.ndarray:
         return np.asarray(seen.sum(axis=1))
     anchors = range(int(tracks.columns.max(initial=-1)) + 1)
     each = [seen[:, tracks.columns == anchor].any(axis=1) for anchor in anchors]
-    return np.sum(each, axis=0)
+    return np.asarray(np.sum(each, axis=0))
 
 
 def ellipses(estimates: Estimates) -> tuple[Array, Array, Array]:

@@ -61,7 +61,7 @@ def solve(scenario: Scenario, noise: Noise, method: Estimator, counts: np.ndarra
                 found = residuals_of(batch.of(i), one.position, scenario.known_height_m, begin)
                 residuals.append(found)
                 begin += int(lengths[i])
-    return Solved(_joined(pieces), Residuals.joined(residuals), errors)
+    return Solved(joined(pieces), Residuals.joined(residuals), errors)
 
 
 def _tracks(estimates: Estimates, lengths: np.ndarray) -> Iterator[Estimates]:
@@ -69,10 +69,10 @@ def _tracks(estimates: Estimates, lengths: np.ndarray) -> Iterator[Estimates]:
     for i, T in enumerate(lengths):
         given = {f.name: getattr(estimates, f.name) for f in fields(Estimates)}
         cut = {n: a if a is None else a[i : i + 1, :T] for n, a in given.items()}
-        yield Estimates(**cut)
+        yield Estimates(**cut)  # type: ignore[arg-type]
 
 
-def _joined(pieces: list[Estimates]) -> Estimates:
+def joined(pieces: list[Estimates]) -> Estimates:
     """The estimates (1, F, ...) of tracks one after the other; NaN in place of an optional array
     that some of them lack.
     """

@@ -222,11 +222,6 @@ class Recorded(Scenario):
         upright = np.zeros_like(anchors.rotation) + np.eye(3)
         return anchors if own else Anchors(anchors.position, upright)
 
-    @property
-    def labels(self) -> list[str]:
-        """The anchors' ids (B,)."""
-        return self._anchors.ids
-
     def offers(self) -> frozenset[str]:
         """The offers of all scenarios, less several anchors if no fix has measurements by two."""
         heard = np.isfinite(self.recorded.azimuth).sum(axis=1)
