@@ -44,9 +44,25 @@ def write(
     if kind == ".parquet":
         write_frame(out, frame, provenance(config))
     elif kind == ".csv":
-        write_atomically(out, lambda path: rounded(frame).to_csv(path, index=False))
+        write_atomically(out, lambda path: path.write_bytes(csv_text(frame)))
     else:
         write_atomically(out, lambda path: _write_lines(path, geojson(frame, degrees)))
+
+
+def csv_text(frame: pd.DataFrame, header: bool = True) -> bytes:
+    """The table as CSV in UTF-8; a cell is empty where nothing is known."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    shown = rounded(frame)
+    sink = pa.BufferOutputStream()
+    how = csv.WriteOptions(include_header=False, quoting_style="none")
+    try:
+        csv.write_csv(pa.Table.from_pandas(shown, preserve_index=False), sink, how)
+    except pa.ArrowInvalid:  # a cell needs quotes
+        return bytes(shown.to_csv(index=False, header=header, lineterminator="\n").encode())
+    names = ",".join(map(str, frame.columns)) + "\n"
+    return names.encode() * header + sink.getvalue().to_pybytes()
 
 
 def rounded(frame: pd.DataFrame) -> pd.DataFrame:
