@@ -30,12 +30,17 @@ OF_TRUTH = ("true_x_m", "true_y_m", "true_z_m", "error_xy_m", "error_3d_m", "err
 
 
 def table(
-    tracks: Tracks, solved: Solved, max_sigma_m: float | None = None, with_truth: bool = False
+    tracks: Tracks,
+    solved: Solved,
+    max_sigma_m: float | None = None,
+    with_truth: bool = False,
+    numbers: np.ndarray | None = None,
 ) -> pd.DataFrame:
     """A row for each fix, with the COLUMNS and, `with_truth`, those of the truth.
 
     Rows are in order of time over all tracks; in order of the tracks where a time is unknown. A fix
-    whose longer half-axis exceeds `max_sigma_m` is rejected and has no position.
+    whose longer half-axis exceeds `max_sigma_m` is rejected and has no position. numbers (R,): those
+    of the tracks, None for 0, 1, ...
     """
     import pandas as pd
 
@@ -43,9 +48,9 @@ def table(
     found = {n: a[0] for n, a in metrics.per_step(estimates, tracks.truth[None]).items()}
     major, minor, turn = ellipses(estimates)
     found |= {"sigma_major_m": major, "sigma_minor_m": minor, "ellipse_deg": turn}
-    R = len(tracks.counts)
     tag = np.array([tag or None for tag in tracks.tags], dtype=object)
-    found |= {"track": np.repeat(np.arange(R), tracks.counts)}
+    numbers = np.arange(len(tracks.counts)) if numbers is None else numbers
+    found |= {"track": np.repeat(numbers, tracks.counts)}
     found |= {"tag": np.repeat(tag, tracks.counts), "fix": tracks.fix, "time_s": tracks.time}
     found |= {"anchors_heard": heard(tracks), "packets": tracks.packets}
     for name in ("azimuth", "elevation"):

@@ -43,7 +43,7 @@ def lines(frame: pd.DataFrame, name: str) -> Iterator[str]:
     of = f" of {_many(tags, 'tag')}" if tags else ""
     of += f" in {tracks} tracks" if tracks > max(tags, 1) else ""
     given = frame["x_m"].notna()
-    yield f"{name}: {_many(F, 'fix')}{of}, {given.sum()} with a position ({_percent(given.mean())})"
+    yield f"{name}: {_many(F, 'fix')}{of}, {given.sum()} with a position ({percent(given.mean())})"
     yield from _not_ok(frame)
     used = frame["anchors_used"].where(given).fillna(frame["anchors_heard"].where(given)).dropna()
     if len(used):
@@ -59,7 +59,7 @@ def _not_ok(frame: pd.DataFrame) -> Iterator[str]:
     bad = frame[frame["outcome"] != "ok"]
     counts = Counter(zip(bad["outcome"], bad["reason"]))
     for (outcome, reason), n in counts.most_common():
-        yield f"  {n} {outcome} ({_percent(n / len(frame))}): {sentence(reason)}"
+        yield f"  {n} {outcome} ({percent(n / len(frame))}): {sentence(reason)}"
 
 
 def sentence(reason: str) -> str:
@@ -150,12 +150,12 @@ def _inside(known: pd.DataFrame) -> float:
 
 def accuracy_lines(found: dict[str, float]) -> Iterator[str]:
     """The errors of `accuracy`."""
-    shares = ", ".join(f"P(<= {d:g} m) {_percent(found[f'p_within_{d}m'])}" for d in WITHIN_M)
-    coverage = _percent(found["coverage"])
+    shares = ", ".join(f"P(<= {d:g} m) {percent(found[f'p_within_{d}m'])}" for d in WITHIN_M)
+    coverage = percent(found["coverage"])
     yield f"errors in the plane, {found['fixes']} fixes with truth: {shares}, coverage {coverage}"
     if found["coverage"] > 0:
         inside = found["inside_95"]
-        more = f"; truth in the 95 % ellipse: {_percent(inside)}" if inside == inside else ""
+        more = f"; truth in the 95 % ellipse: {percent(inside)}" if inside == inside else ""
         yield (
             f"  CEP50 {found['cep50_m']:.3g} m, CEP90 {found['cep90_m']:.3g} m, CEP95 "
             f"{found['cep95_m']:.3g} m, RMSE {found['rmse_xy_m']:.3g} m (3-D "
@@ -172,5 +172,5 @@ def _many(n: int, word: str) -> str:
     return f"{n} {word}{'' if n == 1 else 'es' if word.endswith('x') else 's'}"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     return f"{100 * share:.3g} %"

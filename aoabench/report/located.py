@@ -179,5 +179,5 @@ def _legend(made: Figure, axis: Any, outside: int) -> None:
         from matplotlib.lines import Line2D
 
         handles.append(Line2D([], [], linestyle="none"))
-        labels.append(f"{outside} fixes beyond the map")
+        labels.append(f"beyond the map: {outside}")
     made.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6))

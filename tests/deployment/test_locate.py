@@ -174,7 +174,7 @@ def test_mistakes_are_one_line(room, log):
 
 def test_a_csv_with_any_names_reads_back(room, log):
     found = located_in(log(rows_of(POINTS)), room).frame
-    for tag in ('a,b', 'say "x"', "two\nlines", "ü", None, "plain"):
+    for tag in ("a,b", 'say "x"', "two\nlines", "ü", None, "plain"):
         frame = found.assign(tag=tag)
         read = pd.read_csv(io.BytesIO(files.csv_text(frame)), dtype={"tag": object, "fix": object})
         assert list(read) == list(fixes.COLUMNS)
