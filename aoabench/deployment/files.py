@@ -62,7 +62,8 @@ def csv_text(frame: pd.DataFrame, header: bool = True) -> bytes:
     except pa.ArrowInvalid:  # a cell needs quotes
         return bytes(shown.to_csv(index=False, header=header, lineterminator="\n").encode())
     names = ",".join(map(str, frame.columns)) + "\n"
-    return names.encode() * header + sink.getvalue().to_pybytes()
+    rows: bytes = sink.getvalue().to_pybytes()
+    return names.encode() * header + rows
 
 
 def rounded(frame: pd.DataFrame) -> pd.DataFrame:

@@ -39,8 +39,8 @@ def table(
     """A row for each fix, with the COLUMNS and, `with_truth`, those of the truth.
 
     Rows are in order of time over all tracks; in order of the tracks where a time is unknown. A fix
-    whose longer half-axis exceeds `max_sigma_m` is rejected and has no position. numbers (R,): those
-    of the tracks, None for 0, 1, ...
+    whose longer half-axis exceeds `max_sigma_m` is rejected and has no position. numbers (R,): the
+    numbers of the tracks, None for 0, 1, ...
     """
     import pandas as pd
 
