@@ -400,11 +400,15 @@ def test_thresholds_keep_the_best_scores_up_to_the_coverage():
 
 EXPERIMENT = "experiment=boquet2024_methods"
 READINGS = "experiment=boquet2024_readings"
+ROBUST = "experiment=boquet2024_robust"
 
 
 @pytest.fixture(scope="module")
 def cells():
-    return {e: compose_cells([e, "scenario.packets=4", "reps=5"]) for e in (EXPERIMENT, READINGS)}
+    return {
+        e: compose_cells([e, "scenario.packets=4", "reps=5"])
+        for e in (EXPERIMENT, READINGS, ROBUST)
+    }
 
 
 def campaign(rng, names, R=5, P=42, K=4):
@@ -651,9 +655,10 @@ def test_sets_that_differ_are_those_that_the_votes_choose(cells):
 def test_the_robust_estimator_is_compared_at_full_and_at_equal_coverage(cells):
     """Against plain counts over fixes of which the smallest scores are kept by hand."""
     rng = np.random.default_rng(11)
-    fixes = campaign(rng, cells[EXPERIMENT][0].estimators)
+    fixes = campaign(rng, cells[ROBUST][0].estimators)
     score = rng.random(fixes["robust_ml"].score.shape)
-    fixes["robust_ml"] = dataclasses.replace(fixes["robust_ml"], score=score)
+    error = np.abs(rng.normal(0, 0.7, score.shape))
+    fixes["robust_ml"] = dataclasses.replace(fixes["robust_ml"], score=score, error_xy_m=error)
     rows = numbers.robust([(None, fixes)]).set_index(["at", "method", "other"])
     e, other = (fixes[name].error_xy_m for name in ("robust_ml", "vmf_ml"))
     more = rows.loc[("all", "robust_ml", "vmf_ml")]
@@ -678,8 +683,15 @@ def test_the_robust_estimator_enters_no_claim_of_the_paper(values):
     assert not read & every
 
 
+def test_the_filters_beside_the_robust_estimator_are_those_of_the_methods(cells):
+    filters, mine = ({n: e for n, e in cells[x][0].estimators.items() if n.startswith("df_boxes")}
+                     for x in (EXPERIMENT, ROBUST))  # fmt: skip
+    assert len(mine) == 20
+    assert mine == filters
+
+
 def test_variants_of_the_robust_estimator_differ_in_what_their_names_say(cells):
-    found = cells[EXPERIMENT][0].estimators
+    found = cells[ROBUST][0].estimators
     base = found["robust_ml"]
     for name, what in numbers.robust_variants.items():
         changed = {
@@ -705,8 +717,9 @@ def tables(cells, made_up, fig2, fig6, rule):
     for item in STUDY.items:
         if item.name in found:
             continue
-        if item.reads == "fixes" and item.experiment == READINGS.partition("=")[2]:
-            runs = [(cell, campaign(rng, cell.estimators)) for cell in cells[READINGS]]
+        experiment = f"experiment={item.experiment}"
+        if item.reads == "fixes" and experiment != EXPERIMENT:
+            runs = [(cell, campaign(rng, cell.estimators)) for cell in cells[experiment]]
             found[item.name] = getattr(numbers, item.name)(runs)
         elif item.reads == "fixes":
             found[item.name] = getattr(numbers, item.name)([(cells[EXPERIMENT][0], made_up)])
