@@ -53,15 +53,17 @@ class Scenario(CheckedParams):
 
     name: key of the random streams. dt: time step in s. start_s: time of the prior in s; None: that
     of a track's first step. motion: the motion model of the filters, None where each fix is
-    independent. shares_positions: whether all replications have the same
-    true positions. replications: number of replications, None for any number. least_heard: share
-    of the steps with a measurement below which a run prints a warning.
+    independent. start_sigma_m: deviation in m that the prior of a recorded track has beyond that of
+    its first fix. shares_positions: whether all replications have the same true positions.
+    replications: number of replications, None for any number. least_heard: share of the steps with
+    a measurement below which a run prints a warning.
     """
 
     name: str
     dt: float = 1.0
     start_s: float | None = 0.0
     motion: Motion | None = None
+    start_sigma_m: float = 1.0
     shares_positions: bool = False
     replications: int | None = None
     least_heard: float = 0.1

@@ -18,8 +18,12 @@ from aoabench.errors import BadValue
 from aoabench.estimators.anchors import RssiAnchor, SingleAnchor
 from aoabench.estimators.lines import LineLeastSquares
 from aoabench.estimators.robust import RobustLikelihood
+from aoabench.filters.kalman import EKF, UKF
+from aoabench.filters.particle import ParticleFilter
+from aoabench.models.motion import ConstantVelocity, RandomWalk
+from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.recorded import Recorded as RecordedNoise
-from aoabench.roles import Estimator, Scenario
+from aoabench.roles import Estimator, Motion, Scenario
 from aoabench.store import fixes, tables
 from aoabench.types import Anchors, Estimates, Measurements, Tracks
 
@@ -33,7 +37,9 @@ class Site(Scenario):
 
     own: Tracks
     anchors: Anchors = ANCHORS
+    motion: Motion | None = None
     name = "site"
+    start_s = None
 
     @property
     def tracks(self):
@@ -68,14 +74,14 @@ def seen(truth, rng, noise=0.05):
     return azimuth, np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1])) + off[1]
 
 
-def track(tag, count, start=0.0):
-    """A walk of one tag; its data depend on the tag alone."""
+def track(tag, count, start=0.0, dt=0.25):
+    """A walk of one tag with a fix every dt s; its data depend on the tag alone."""
     rng = np.random.default_rng(sum(map(ord, tag)))
     s = np.linspace(0, 1, count)
     truth = np.stack([2 + 8 * s, 1.5 + 2 * s, np.full(count, 1.1)], axis=-1)
     measured = Measurements(*seen(truth, rng))
     fix = np.array([f"{tag}-{i}" for i in range(count)], dtype=object)
-    time, heard = start + 0.1 * np.arange(count), np.full(count, 4)
+    time, heard = start + dt * np.arange(count), np.full(count, 4)
     return Tracks((tag,), np.array([count]), time, fix, truth, measured, heard, np.arange(4))
 
 
@@ -360,3 +366,41 @@ def test_errors_are_clustered_by_true_position_over_all_tracks(tmp_path):
     hits = (steps["error_xy_m"] <= 1).sum() / 20
     assert row["p_within_1m"] == pytest.approx(hits)
     assert row["availability"] == 1.0
+
+
+MODEL = UnitVector(kappa=1 / 0.05**2)
+FILTERS = {"ekf": EKF(MODEL), "ukf": UKF(MODEL), "pf": ParticleFilter(MODEL, particles=200)}
+
+
+@pytest.mark.parametrize("motion", [RandomWalk(q_xy=1.0), ConstantVelocity()])
+def test_filtered_tags_are_the_single_ones_bit_for_bit_and_nearer_than_their_fixes(motion):
+    """Filters start from each track's own first fix; times differ between the tracks."""
+    each = [track("T1", 60), track("T22", 35, 3.0), track("T333", 1)]
+    both = block(overlaid(*each), FILTERS, motion=motion)
+    for place, one in enumerate(each):
+        alone = block(one, FILTERS, motion=motion)
+        for name in FILTERS:
+            steps = both[name]["steps"]
+            found = {k: v[steps["replication"] == place] for k, v in steps.items()}
+            expected = without(alone[name]["steps"], "replication")
+            assert without(found, "replication") == expected
+    fixes = block(overlaid(*each))["robust"]["rows"]["rmse_xy_m"]
+    for name in FILTERS:
+        assert (both[name]["rows"]["rmse_xy_m"][:2] < fixes[:2]).all()
+
+
+def test_a_filter_sees_the_time_between_fixes():
+    """A tag that walked 3 m during a pause of 20 s: the filter follows at once."""
+    one = track("T1", 40)
+    some = np.r_[0:15, 28:40]
+    arrays = {n: a[some] for n, a in one.measured.arrays.items()}
+    flat = {n: getattr(one, n)[some] for n in ("fix", "truth", "packets")}
+    steady = 0.25 * np.arange(27)
+    errors = []
+    for time in (np.where(steady > 3.6, steady + 20, steady), steady):
+        tracks = replace(
+            one, counts=np.array([27]), time=time, measured=Measurements(**arrays), **flat
+        )
+        steps = block(tracks, {"ekf": EKF(MODEL)}, motion=RandomWalk(q_xy=0.2))["ekf"]["steps"]
+        errors.append(steps["error_xy_m"][15])
+    assert errors[0] < 0.7 < 1.5 < errors[1]
