@@ -1,4 +1,4 @@
-"""Fixes, angles and true positions in aoabench's conventions, from the columns of a log.
+"""Angles, times, signal strengths and ranges in aoabench's conventions, from the columns of a log.
 
 A row holds the measurements by one anchor, or those by the mobile of one anchor. The conventions of
 a log are declared, never guessed. Angles are converted to azimuth counter-clockwise from the
@@ -10,31 +10,22 @@ anchor's +x and elevation up from its xy-plane:
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from aoabench.devices.columns import header, shown_columns
+from aoabench.devices.columns import shown_columns
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, did_you_mean, listed
-from aoabench.maths.geometry import Array, wrap
-from aoabench.types import Measurements
+from aoabench.maths.geometry import LIGHT, Array, wrap
 
 TURN = {"deg": 360.0, "rad": 2 * np.pi}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-SAME_M = 1e-6  # m; true positions of one fix that differ by less are taken as equal
+SLOW_S = 5.0  # s; packets further apart are doubted
+FAR_S = 1e11  # s; a later time, after the year 5000, is in another unit
 MOST_DBM = 20.0  # a larger signal strength is doubted
 SIGMAS = ("error", "absent", "absolute")  # treatments of a negative deviation
-
-
-class Log(NamedTuple):
-    """A file's content: true positions (T, 3) m, measurements (T, B) and remarks to print."""
-
-    truth: Array
-    measured: Measurements
-    notes: tuple[str, ...]
 
 
 class Conventions(NamedTuple):
@@ -63,33 +54,37 @@ class Conventions(NamedTuple):
 
 
 def chosen_columns(
-    path: str, named: Mapping[str, str | None], defaults: Mapping[str, str], required: set[str]
+    path: object,
+    columns: Sequence[str],
+    named: Mapping[str, str | None],
+    defaults: Mapping[str, Sequence[str]],
+    required: set[str],
 ) -> dict[str, str]:
-    """Map aoabench's column names to the file's, for the columns to read.
+    """Map aoabench's column names to those of the file with `columns`, for the columns to read.
 
-    A column has its name in `named`, or else its default name if the file has such a column. Raises
-    BadValue if a named or required column is missing, or occurs twice. A fix or a time is always
-    required; x and y are required if one of x, y, z is read.
+    A column has its name in `named`, or else the first of its default names that the file has.
+    Raises BadValue if a named or required column is missing, or occurs twice. A fix, a sequence
+    number or a time is always required; x and y are required if one of x, y, z is read.
     """
-    columns = header("path", path)
     chosen = {
-        ours: defaults[ours] if name is None and defaults[ours] in columns else name
+        ours: next((one for one in defaults[ours] if one in columns), None)
+        if name is None
+        else name
         for ours, name in named.items()
     }
-    if chosen["fix"] is not None:
-        chosen["time"] = None  # numbered fixes need neither comparable nor complete times
-    required = required | ({"time"} if chosen["fix"] is None else set())
-    required |= {"x", "y"} if any(chosen[axis] for axis in "xyz") else set()
+    grouped = any(chosen[ours] for ours in ("fix", "sequence", "anchor_time"))
+    required = required | (set() if grouped else {"time"})
+    required |= {"x", "y"} if any(chosen.get(axis) for axis in "xyz") else set()
     for ours, name in chosen.items():
         if name is None and ours in required:
-            raise _no_column(ours, name, defaults[ours], path, columns)
+            raise _no_column(ours, name, defaults[ours][0], path, columns)
         if name is not None and columns.count(name) != 1:
             raise _no_column(ours, name, name, path, columns)
     return {ours: name for ours, name in chosen.items() if name is not None}
 
 
 def _no_column(
-    ours: str, name: str | None, wanted: str, path: str, columns: Sequence[str]
+    ours: str, name: str | None, wanted: str, path: object, columns: Sequence[str]
 ) -> BadValue:
     """The error for the column `ours`, whose name `wanted` is missing or twice in the file."""
     default = f", by default called {wanted}," if name is None else ""
@@ -99,8 +94,43 @@ def _no_column(
     else:
         allowed += did_you_mean(wanted, columns)
     if ours == "time":
-        allowed += "; or scenario.columns.fix, a column with the number of each row's fix"
+        units = [unit for unit in SECONDS if f"time_{unit}" in columns]
+        allowed += "".join(f"; scenario.time_unit={unit} reads time_{unit}" for unit in units)
+        allowed += (
+            "; or scenario.columns.fix, a column with the number of each row's fix, "
+            "or scenario.columns.sequence, the tags' own numbers of packets"
+        )
     return BadValue(f"columns.{ours}", name, allowed)
+
+
+def times(table: Table, column: str, unit: str, complete: bool) -> Array:
+    """Return the times (N,) s in a column, of dates since 1970 UTC.
+
+    An empty cell is NaN unless the times have to be `complete`. Raises BadValue for numbers that
+    are no times in the declared unit.
+    """
+    import pandas as pd
+
+    cells, name = table.frame[column], table.names[column]
+    if table.is_number(column):
+        raw = table.numbers(column, empty=not complete)
+        far = np.abs(raw) * SECONDS[unit] > FAR_S
+        table.check(column, far, f"times in {unit} in {name}{_other_unit(raw[far])}")
+        return raw * SECONDS[unit]
+    moments = pd.to_datetime(cells, format="ISO8601", utc=True, errors="coerce")
+    wrong = moments.isna().to_numpy() & (complete | cells.notna().to_numpy())
+    table.check(column, wrong, f"a time in {name} in every row, each in ISO 8601")
+    since = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    return np.asarray(since, dtype=float)
+
+
+def _other_unit(raw: Array) -> str:
+    """The unit in which numbers since 1970 are of this century, as the end of a message."""
+    words = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+    for unit, word in words.items():
+        if len(raw) and 1e8 < np.median(np.abs(raw)) * SECONDS[unit] < 1e10:
+            return f"; these look like {word} since 1970: scenario.time_unit={unit}"
+    return ""
 
 
 def known_anchors(
@@ -119,26 +149,6 @@ def known_anchors(
         raise table.bad(f"at least one row of a known anchor: {listed(ids)}")
     notes = [f"{table.path}: {unknown} rows of unknown anchors left out"]
     return table.where(anchor >= 0), anchor[anchor >= 0], notes
-
-
-def fixes(table: Table, time_unit: str, window_s: float) -> tuple[np.ndarray, int]:
-    """Return the number (N,) of each row's fix, and the number of fixes.
-
-    Fixes are in order of their times, or of their first appearance if the table numbers them. A
-    row up to `window_s` after the first row of a fix belongs to that fix.
-    """
-    if "fix" in table.names:
-        code, ids = table.texts("fix")
-        return code, len(ids)
-    time = table.times("time") * (SECONDS[time_unit] if table.is_number("time") else 1.0)
-    moments, code = np.unique(time, return_inverse=True)
-    if window_s == 0:
-        return code, len(moments)
-    ordered, starts = moments.tolist(), np.zeros(len(moments), dtype=int)
-    begin = 0
-    while (begin := bisect_right(ordered, ordered[begin] + window_s, begin)) < len(ordered):
-        starts[begin] = 1
-    return np.cumsum(starts)[code], int(starts.sum()) + 1
 
 
 def angles(table: Table, given: Conventions) -> dict[str, Array]:
@@ -194,6 +204,32 @@ def strengths(table: Table, absent: Sequence[float]) -> tuple[Array | None, list
     return (found if np.isfinite(found).any() else None), notes
 
 
+def ranges(table: Table, sigma_m: float | None) -> tuple[dict[str, Array], list[str]]:
+    """Return ranges and their deviations as `delay` and `delay_sigma` (N,) s, NaN where a range has
+    no deviation above 0; nothing if no range has one; and remarks to print.
+
+    A row without a deviation above 0 has `sigma_m`.
+    """
+    if "range" not in table.names:
+        return {}, []
+    distance = table.numbers("range")
+    stated = "range_sigma" in table.names
+    sigma = table.numbers("range_sigma") if stated else np.full(len(distance), np.nan)
+    sigma = np.where(sigma > 0, sigma, np.nan if sigma_m is None else sigma_m)
+    measured = np.isfinite(distance)
+    used = measured & np.isfinite(sigma)
+    notes = []
+    if lost := int((measured & ~used).sum()):
+        notes.append(
+            f"{table.path}: {lost} of {measured.sum()} {table.names['range']} are not used: their "
+            "deviation is not stated, or 0; scenario.range_sigma_m states one"
+        )
+    if not used.any():
+        return {}, notes
+    found = {"delay": distance, "delay_sigma": sigma}
+    return {name: np.where(used, value, np.nan) / LIGHT for name, value in found.items()}, notes
+
+
 def _azimuth(table: Table, given: Conventions) -> Array:
     """Azimuths (N,) rad, counter-clockwise; in the mobile's own frame if the mobile measures."""
     turn = TURN[given.azimuth_unit]
@@ -237,11 +273,19 @@ def doubts(table: Table, azimuth_unit: str) -> list[str]:
     ]
 
 
-def truth(table: Table, fix: np.ndarray, T: int) -> Array:
-    """True positions (T, 3) m, NaN if a fix has none; raises BadValue if rows of a fix differ."""
-    nothing = np.full(T, np.nan)
-    found = np.stack(
-        [table.shared(a, fix, T, SAME_M) if a in table.names else nothing for a in "xyz"], axis=-1
-    )
-    found[np.isnan(found[:, :2]).any(axis=1)] = np.nan
-    return found
+def slow_times(table: Table, time: Array | None, unit: str) -> list[str]:
+    """A warning line if times (N,) s look like a smaller unit than the one declared: whole numbers
+    that are typically 5 s or more apart.
+    """
+    if time is None or unit != "s" or "time" not in table.names or not table.is_number("time"):
+        return []
+    moments = np.unique(time[np.isfinite(time)])
+    if len(moments) <= 20 or np.any(moments != np.rint(moments)):
+        return []
+    step = float(np.median(np.diff(moments)))
+    if step < SLOW_S:
+        return []
+    return [
+        f"{table.path}: {table.names['time']} spans {np.ptp(moments):.3g} s, packets are typically "
+        f"{step:.3g} s apart; if these are milliseconds, set scenario.time_unit=ms"
+    ]
