@@ -64,7 +64,8 @@ class Param:
             return
         if any(isinstance(value, type(one)) and value == one for one in self.also):
             return
-        if isinstance(value, str) and self.shape and "str" in annotation.split(" | "):
+        listed = annotation.startswith(("Sequence[", "tuple["))
+        if isinstance(value, str) and listed and "str" in annotation.split(" | "):
             return check_text(key, value)
         try:
             self.check_of(annotation)(key, value)

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aoabench.devices.columns import header
-from aoabench.devices.table import Table
 from aoabench.maths.geometry import Array
 
 SAME_S = 1.0  # s; clocks that all differ by less are taken as one
@@ -33,7 +31,7 @@ class Aligned(NamedTuple):
 
 
 def aligned(time: Array, anchor: np.ndarray, event: np.ndarray) -> Aligned:
-    """Return times by the clock of the anchor with the most packets.
+    """Return times by the clock of the first anchor that measured.
 
     time (N,) s, NaN = unknown; anchor (N,); event (N,): numbers that the packets of one event
     share, which may come again.
@@ -42,7 +40,7 @@ def aligned(time: Array, anchor: np.ndarray, event: np.ndarray) -> Aligned:
     counts = np.bincount(anchor[known], minlength=int(anchor.max(initial=0)) + 1)
     event = np.unique(event, return_inverse=True)[1].ravel()
     heard = np.zeros(event.max(initial=0) + 1, dtype=bool)
-    found, largest, best = time.copy(), 0.0, int(counts.argmax())
+    found, largest, best = time.copy(), 0.0, int((counts > 0).argmax())
     done = np.zeros(len(time), dtype=bool)
     left = counts > 0
     while True:
@@ -59,17 +57,6 @@ def aligned(time: Array, anchor: np.ndarray, event: np.ndarray) -> Aligned:
         offset = np.polyval(line, found[own])
         found[own] += offset
         largest = max(largest, float(np.abs(offset).max()))
-
-
-def offsets(key: str, path: str) -> Array | None:
-    """The column clock_offset_s (B,) of a file of anchors: how far each clock is ahead, in s; an
-    empty cell is 0. None without the column.
-    """
-    name = "clock_offset_s"
-    if name not in header(key, path):
-        return None
-    wanted = {one: one for one in ("x_m", name) if one in header(key, path)}
-    return np.nan_to_num(Table.read(key, path, wanted).numbers(name))
 
 
 def _pairs(event_a: np.ndarray, a: Array, event_b: np.ndarray, b: Array) -> tuple[Array, Array]:

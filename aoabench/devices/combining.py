@@ -20,8 +20,13 @@ from aoabench.maths.geometry import Array, wrap
 from aoabench.types import Measurements
 
 COMBINE = ("error", "each", "first", "last", "median", "mean")
-SAME_M = 1e-3  # m; true positions of a fix that differ by more are reported
+_ADVICE = (
+    "one row per anchor in each fix, or scenario.combine=median, mean or each, which use all rows; "
+    "scenario.columns.tag keeps tags apart, and a shorter scenario.window_s makes more fixes"
+)
+SAME_M = 0.5  # m; true positions of a fix that differ by more are reported
 MOST_CELLS = 2**27
+ROWS = ("error", "first", "last")
 ANGLES = ("azimuth", "elevation")
 
 
@@ -78,13 +83,12 @@ def combined(packets: Packets, groups: Groups, anchors: int, combine: str) -> Co
 
 
 def _order(packets: Packets, time: Array, pair: np.ndarray, combine: str) -> np.ndarray:
-    """The packets (N,) sorted by fix and anchor, then by time; ties of packets that are all used
-    by their values, so that the order of rows does not matter.
+    """The packets (N,) sorted by fix and anchor, by time, and then by their values, so that the
+    order of rows does not matter; it decides only which one is first or last in a log without
+    times.
     """
-    keys = (time, pair)
-    if combine in ("each", "median", "mean"):
-        keys = (*packets.values.values(), *keys)  # type: ignore[assignment]
-    return np.lexsort(keys)
+    alike = () if combine in ROWS and np.isnan(time).any() else tuple(packets.values.values())
+    return np.lexsort((*alike, time, pair))
 
 
 def _check_equal(packets: Packets, order: np.ndarray, new: np.ndarray) -> None:
@@ -98,8 +102,7 @@ def _check_equal(packets: Packets, order: np.ndarray, new: np.ndarray) -> None:
         if len(differs):
             rows = sorted((int(first[differs[0]]), int(order[differs[0]])))
             shown = ", ".join(packets.table.at(row, "anchor", "azimuth") for row in rows)
-            allowed = "one row per anchor in each fix, or scenario.combine=mean, median or each"
-            raise packets.table.bad(f"{allowed}, which use them all; {shown}")
+            raise packets.table.bad(f"{_ADVICE}; {shown}")
 
 
 def _each(

@@ -28,6 +28,7 @@ _INCOMPARABLE = (
     "anchor and do not compare; or else clock_offset_s in the file of anchors, how far each clock "
     "is ahead"
 )
+_FEWER = "a shorter scenario.window_s makes more, and scenario.columns.fix or sequence others"
 EVENT_S = 1.0  # s; packets of one number that are further apart belong to two fixes
 ROUNDING_S = 1e-6  # s; times closer to a limit than this lie within it
 
@@ -196,6 +197,8 @@ def _ordered(
     order = np.lexsort((first, rank, tag))
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
+    if len(tag) == len(packets.tags) and packets.count > 2 * len(tag) * len(set(packets.anchor)):
+        notes += (f"{packets.table.path}: all rows of a tag make one fix; {_FEWER}",)
     return Groups(place[code], tag[order], _names(packets, first[order], tag[order]), time, notes)
 
 

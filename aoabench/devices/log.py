@@ -10,20 +10,16 @@ anchor's +x and elevation up from its xy-plane:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from aoabench.devices.columns import shown_columns
 from aoabench.devices.table import Table
-from aoabench.errors import BadValue, did_you_mean, listed
+from aoabench.errors import listed
 from aoabench.maths.geometry import LIGHT, Array, wrap
 
 TURN = {"deg": 360.0, "rad": 2 * np.pi}
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-SLOW_S = 5.0  # s; packets further apart are doubted
-FAR_S = 1e11  # s; a later time, after the year 5000, is in another unit
 MOST_DBM = 20.0  # a larger signal strength is doubted
 SIGMAS = ("error", "absent", "absolute")  # treatments of a negative deviation
 
@@ -51,86 +47,6 @@ class Conventions(NamedTuple):
     def units(self) -> dict[str, str]:
         """The unit of each angle."""
         return {"azimuth": self.azimuth_unit, "elevation": self.elevation_unit}
-
-
-def chosen_columns(
-    path: object,
-    columns: Sequence[str],
-    named: Mapping[str, str | None],
-    defaults: Mapping[str, Sequence[str]],
-    required: set[str],
-) -> dict[str, str]:
-    """Map aoabench's column names to those of the file with `columns`, for the columns to read.
-
-    A column has its name in `named`, or else the first of its default names that the file has.
-    Raises BadValue if a named or required column is missing, or occurs twice. A fix, a sequence
-    number or a time is always required; x and y are required if one of x, y, z is read.
-    """
-    chosen = {
-        ours: next((one for one in defaults[ours] if one in columns), None)
-        if name is None
-        else name
-        for ours, name in named.items()
-    }
-    grouped = any(chosen[ours] for ours in ("fix", "sequence", "anchor_time"))
-    required = required | (set() if grouped else {"time"})
-    required |= {"x", "y"} if any(chosen.get(axis) for axis in "xyz") else set()
-    for ours, name in chosen.items():
-        if name is None and ours in required:
-            raise _no_column(ours, name, defaults[ours][0], path, columns)
-        if name is not None and columns.count(name) != 1:
-            raise _no_column(ours, name, name, path, columns)
-    return {ours: name for ours, name in chosen.items() if name is not None}
-
-
-def _no_column(
-    ours: str, name: str | None, wanted: str, path: object, columns: Sequence[str]
-) -> BadValue:
-    """The error for the column `ours`, whose name `wanted` is missing or twice in the file."""
-    default = f", by default called {wanted}," if name is None else ""
-    allowed = f"a column{default} of {path}, which has {shown_columns(columns)}"
-    if wanted in columns:
-        allowed += f"; {wanted} occurs {columns.count(wanted)} times"
-    else:
-        allowed += did_you_mean(wanted, columns)
-    if ours == "time":
-        units = [unit for unit in SECONDS if f"time_{unit}" in columns]
-        allowed += "".join(f"; scenario.time_unit={unit} reads time_{unit}" for unit in units)
-        allowed += (
-            "; or scenario.columns.fix, a column with the number of each row's fix, "
-            "or scenario.columns.sequence, the tags' own numbers of packets"
-        )
-    return BadValue(f"columns.{ours}", name, allowed)
-
-
-def times(table: Table, column: str, unit: str, complete: bool) -> Array:
-    """Return the times (N,) s in a column, of dates since 1970 UTC.
-
-    An empty cell is NaN unless the times have to be `complete`. Raises BadValue for numbers that
-    are no times in the declared unit.
-    """
-    import pandas as pd
-
-    cells, name = table.frame[column], table.names[column]
-    if table.is_number(column):
-        raw = table.numbers(column, empty=not complete)
-        far = np.abs(raw) * SECONDS[unit] > FAR_S
-        table.check(column, far, f"times in {unit} in {name}{_other_unit(raw[far])}")
-        return raw * SECONDS[unit]
-    moments = pd.to_datetime(cells, format="ISO8601", utc=True, errors="coerce")
-    wrong = moments.isna().to_numpy() & (complete | cells.notna().to_numpy())
-    table.check(column, wrong, f"a time in {name} in every row, each in ISO 8601")
-    since = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
-    return np.asarray(since, dtype=float)
-
-
-def _other_unit(raw: Array) -> str:
-    """The unit in which numbers since 1970 are of this century, as the end of a message."""
-    words = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
-    for unit, word in words.items():
-        if len(raw) and 1e8 < np.median(np.abs(raw)) * SECONDS[unit] < 1e10:
-            return f"; these look like {word} since 1970: scenario.time_unit={unit}"
-    return ""
 
 
 def known_anchors(
@@ -270,22 +186,4 @@ def doubts(table: Table, azimuth_unit: str) -> list[str]:
     name = table.names["azimuth"]
     return [
         f"{table.path}: {name} is within +-2 pi deg; if it is in rad, set scenario.azimuth_unit=rad"
-    ]
-
-
-def slow_times(table: Table, time: Array | None, unit: str) -> list[str]:
-    """A warning line if times (N,) s look like a smaller unit than the one declared: whole numbers
-    that are typically 5 s or more apart.
-    """
-    if time is None or unit != "s" or "time" not in table.names or not table.is_number("time"):
-        return []
-    moments = np.unique(time[np.isfinite(time)])
-    if len(moments) <= 20 or np.any(moments != np.rint(moments)):
-        return []
-    step = float(np.median(np.diff(moments)))
-    if step < SLOW_S:
-        return []
-    return [
-        f"{table.path}: {table.names['time']} spans {np.ptp(moments):.3g} s, packets are typically "
-        f"{step:.3g} s apart; if these are milliseconds, set scenario.time_unit=ms"
     ]

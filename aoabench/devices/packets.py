@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aoabench.devices import log
+from aoabench.devices.moments import slow_times, times
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, did_you_mean, listed
 from aoabench.maths.geometry import Array
@@ -77,7 +78,7 @@ class Packets:
 
 
 @dataclass(frozen=True)
-class Reading:
+class Given:
     """How rows become packets: parameters of the same names of a recorded scenario, and how far
     each anchor's clock is ahead (B,) s, or None.
     """
@@ -91,7 +92,7 @@ class Reading:
 
 
 def read_packets(
-    table: Table, anchor_ids: Sequence[str], given: Reading
+    table: Table, anchor_ids: Sequence[str], given: Given
 ) -> tuple[Packets, list[str]]:
     """Return the packets of a log's rows, and remarks to print.
 
@@ -110,7 +111,7 @@ def read_packets(
     )
     fix, fixes = table.texts("fix") if numbered else (None, [])
     notes += [*about_rssi, *about_ranges, *log.doubts(table, given.conventions.azimuth_unit)]
-    notes += log.slow_times(table, time, given.time_unit)
+    notes += slow_times(table, time, given.time_unit)
     own = "time" not in table.names and given.clock_offset is None
     packets = Packets(
         anchor=anchor,
@@ -128,7 +129,7 @@ def read_packets(
     return packets, notes
 
 
-def _times(table: Table, given: Reading, anchor: np.ndarray) -> Array | None:
+def _times(table: Table, given: Given, anchor: np.ndarray) -> Array | None:
     """Times (N,) s less the offsets of the anchors' clocks, or None without a column of times.
 
     Where offsets are known, the anchors' own clocks are preferred to the host's.
@@ -139,7 +140,7 @@ def _times(table: Table, given: Reading, anchor: np.ndarray) -> Array | None:
     column = next((name for name in columns if name in table.names), None)
     if column is None:
         return None
-    time = log.times(table, column, given.time_unit, complete=not partly)
+    time = times(table, column, given.time_unit, complete=not partly)
     return time if offset is None else time - offset[anchor]
 
 

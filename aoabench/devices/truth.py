@@ -18,13 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aoabench.devices.anchors import AnchorsFile
 from aoabench.devices.columns import header, shown_columns
-from aoabench.devices.log import SECONDS, times
+from aoabench.devices.geodesy import Origin, check_degrees, degree_columns
+from aoabench.devices.moments import SECONDS, times
 from aoabench.devices.packets import Packets
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, did_you_mean
 from aoabench.maths.geometry import Array
 
+SAME_M = 1e-3
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 WORDS = {
     "time": ("time", "timestamp", "t", "instant"),
@@ -58,8 +61,8 @@ class Truth:
     key: np.ndarray | None
     table: Table
 
-    def at(self, packets: Packets, gap_s: float, offset_s: float) -> Array:
-        """Return the true positions (N, 3) m at the packets, NaN where unknown.
+    def at(self, packets: Packets, gap_s: float, offset_s: float) -> tuple[Array, list[str]]:
+        """Return the true positions (N, 3) m at the packets, NaN where unknown, and remarks.
 
         Positions of two instants more than `gap_s` apart are not interpolated; `offset_s` is added
         to the file's times. Raises BadValue if no packet has a position.
@@ -78,9 +81,13 @@ class Truth:
                 raise self.table.bad("one with the column fix or sequence, for a log without times")
             elif len(rows):
                 found[mine] = self._by_time(packets.time[mine] - offset_s, rows, gap_s)
-        if not np.isfinite(found[:, 0]).any():
+        known = int(np.isfinite(found[:, 0]).sum())
+        if not known:
             raise self._nowhere(packets, offset_s)
-        return found
+        if known == packets.count:
+            return found, []
+        line = f"{self.table.path}: true positions at {known} of {packets.count} rows"
+        return found, [line + " (scenario.truth_gap_s)" * (self.key is None)]
 
     def _by_key(self, packets: Packets, mine: np.ndarray, rows: np.ndarray) -> Array:
         """Positions (K, 3) m of packets by the names of their fixes or by sequence numbers."""
@@ -130,26 +137,35 @@ class Truth:
 
 def _interpolated(time: Array, known: Array, position: Array, gap_s: float) -> Array:
     """Positions (K, 3) at times (K,) between those (M, 3) at increasing times (M,), NaN outside and
-    in gaps above `gap_s`.
+    in gaps above `gap_s`, unless both ends have one position.
     """
     after = np.clip(np.searchsorted(known, time, side="left"), 1, len(known) - 1)
     step = known[after] - known[after - 1]
-    inside = (time >= known[0]) & (time <= known[-1]) & (step <= gap_s + 1e-9)
+    stays = np.nanmax(np.abs(position[after] - position[after - 1]), axis=1) < SAME_M
+    inside = (time >= known[0]) & (time <= known[-1]) & (stays | (step <= gap_s + 1e-9))
     share = np.divide(time - known[after - 1], step, out=np.zeros_like(step), where=step > 0)
     share = np.where(inside, share, np.nan)[:, None]
     found: Array = (1 - share) * position[after - 1] + share * position[after]
     return found
 
 
-def read_truth(key: str, path: str, time_unit: str) -> Truth:
-    """Return the true positions of a file; raises BadValue for one that is not as in the schema."""
+def read_truth(key: str, path: str, time_unit: str, anchors: AnchorsFile) -> Truth:
+    """Return the true positions of a file; raises BadValue for one that is not as in the schema.
+
+    Latitudes and longitudes are converted to local coordinates at the origin of `anchors`.
+    """
     present = header(key, path)
-    names, scale = _recognised(key, path, present)
+    degrees = degree_columns(present)
+    names, scale = _recognised(key, path, present, degrees)
     table = Table.read(key, path, names)
     position = np.stack([
         scale[axis] * table.numbers(axis) if axis in names else np.full(len(table.frame), np.nan)
         for axis in "xyz"
     ], axis=-1)  # fmt: skip
+    if degrees is None:
+        anchors.check_local(f"the true positions of {path} are local")
+    else:
+        position = _local(key, path, position, anchors.origin)
     known = np.isfinite(position[:, :2]).all(axis=1)
     table, position = table.where(known), position[known]
     if not len(position):
@@ -180,13 +196,34 @@ def _moments(table: Table, column: str, name: str, time_unit: str) -> Array:
     return times(table, column, unit, complete=column != "end")
 
 
+def _local(key: str, path: str, degrees: Array, origin: Origin | None) -> Array:
+    """Local positions (M, 3) m from latitudes, longitudes deg and heights m; z is unknown where the
+    height is.
+    """
+    if origin is None:
+        allowed = f"latitude and longitude of the local (0, 0), because {path} is in degrees"
+        raise BadValue("origin_deg", None, allowed)
+    found = np.full(degrees.shape, np.nan)
+    some = np.isfinite(degrees[:, :2]).all(axis=1)
+    lat, lon, height = degrees[some].T
+    check_degrees(key, path, lat, lon, origin)
+    found[some] = origin.local(lat, lon, np.nan_to_num(height))
+    found[np.isnan(degrees[:, 2]), 2] = np.nan
+    return found
+
+
 def _recognised(
-    key: str, path: str, present: Sequence[str]
+    key: str, path: str, present: Sequence[str], degrees: tuple[str, str, str | None] | None
 ) -> tuple[dict[str, str], dict[str, float]]:
     """The file's names of the columns to read, and the axes' units in m."""
     names: dict[str, str] = {}
     scale: dict[str, float] = {}
+    if degrees is not None:
+        names = {axis: name for axis, name in zip("xyz", degrees) if name is not None}
+        scale = dict.fromkeys("xyz", 1.0)
     for ours, words in WORDS.items():
+        if degrees is not None and ours in "xyz":
+            continue
         units = tuple(METRES) if ours in "xyz" else tuple(SECONDS)
         fits = [one for one in present if _split(one, units)[0] in words]
         if len(fits) > 1:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from aoabench.devices import log
 from aoabench.devices.columns import EXISTING
 from aoabench.devices.combining import COMBINE
 from aoabench.devices.grouping import WINDOWS
+from aoabench.devices.moments import SECONDS
+from aoabench.devices.reading import ANCHOR, FORMATS, Reading
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
-from aoabench.scenarios.parameters import least_heard_param, name_param
+from aoabench.scenarios.parameters import least_heard_param, name_param, origin_param
 from aoabench.types import Tracks
 
 
@@ -24,14 +26,27 @@ class LogParameters(Scenario, ABC):
     """Parameters of a recorded scenario."""
 
     name: str = name_param()
-    path: str = param(
-        help="CSV or Parquet file, a row per anchor and measurement", allowed=f"an {EXISTING}"
+    path: Sequence[Any] | str = param(
+        help="log: a file, a list of files or a pattern such as logs/*.csv, read as one",
+        allowed=f"an {EXISTING}, a list of such files, or a pattern",
     )
     anchors: AnchorLayout | str = param(
-        help="CSV or Parquet file of the anchors, or a layout",
+        help="file of the anchors, or a layout",
         kind=AnchorLayout,
         allowed=f"an {EXISTING}, or an AnchorLayout",
     )
+    format: str = param(
+        "auto",
+        "format of the log: a table, u-blox lines (+UUDF) or Silicon Labs angles; auto: recognised",
+        choices=FORMATS,
+    )
+    header: Sequence[Any] | None = param(
+        None, "names of the columns of a table without a header; null: from the table"
+    )
+    separator: str | None = param(
+        None, "character between a table's cells, tab or space; null: recognised"
+    )
+    decimal: str | None = param(None, "decimal mark of a table's numbers; null: recognised")
     columns: Columns = param(
         Columns(),
         "names of the file's columns",
@@ -70,7 +85,7 @@ class LogParameters(Scenario, ABC):
     gap_s: float | None = param(
         None, "a longer silence of a tag starts a new track; null: none does", unit="s", above=0
     )
-    time_unit: str = param("s", "unit of times that are numbers", choices=tuple(log.SECONDS))
+    time_unit: str = param("s", "unit of times that are numbers", choices=tuple(SECONDS))
     azimuth_unit: str = param("deg", "unit of azimuths", choices=tuple(log.TURN))
     azimuth_sense: str = param(
         "counterclockwise",
@@ -164,7 +179,26 @@ class LogParameters(Scenario, ABC):
     start_sigma_m: float = param(
         1.0, "standard deviation of the position at which filters start", unit="m", above=0
     )
+    weight: str = param(
+        "fix",
+        "what counts alike in errors: each fix, or each true position (mark) however long the stop",
+        choices=("fix", "mark"),
+    )
+    origin_deg: Sequence[float] | None = origin_param()
     least_heard: float = least_heard_param()
+
+    @property
+    def reading(self) -> Reading:
+        """How the log is read."""
+        named = [name for name in asdict(self.columns).values() if name and ANCHOR in name]
+        header = None if self.header is None else tuple(map(str, self.header))
+        return Reading(self.format, header, self.separator, self.decimal, tuple(named))
+
+    def declared(self, stated: Mapping[str, Any]) -> dict[str, Any]:
+        """The parameters by name; those with their default value as the log's format has them."""
+        defaults = {f.name: f.default for f in fields(self)}
+        own = {name: getattr(self, name) for name in defaults}
+        return own | {n: value for n, value in stated.items() if own[n] == defaults[n]}
 
     @property
     @abstractmethod

@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -17,15 +15,17 @@ import numpy as np
 from aoabench import loaded
 from aoabench.devices import identity, log
 from aoabench.devices.anchors import AnchorsFile, read_anchors
-from aoabench.devices.clocks import offsets
-from aoabench.devices.columns import header
 from aoabench.devices.combining import combined
 from aoabench.devices.extent import Thing, check_anchors
+from aoabench.devices.formats import opened
+from aoabench.devices.geodesy import Origin
 from aoabench.devices.grouping import grouped, tracks
-from aoabench.devices.packets import Packets, Reading, read_packets
+from aoabench.devices.naming import chosen_columns, default_names
+from aoabench.devices.packets import Given, Packets, read_packets
+from aoabench.devices.reading import Content
 from aoabench.devices.table import Table
 from aoabench.devices.truth import read_truth
-from aoabench.errors import BadValue, check_array
+from aoabench.errors import BadValue, check_array, listed
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
 from aoabench.scenarios.layout import AnchorLayout
@@ -55,6 +55,7 @@ class Recorded(LogParameters):
     """
 
     dt = 1.0
+    start_s = None
     shares_positions = True
     replications = 1
 
@@ -85,7 +86,8 @@ class Recorded(LogParameters):
             object.__setattr__(self, "height_m", float(np.median(z)))
         known = truth[np.isfinite(truth[:, 0])]
         if len(known):
-            target = Thing("true positions", "path", self.path, known)
+            source = ("path", self.path) if self.truth_file is None else ("truth", self.truth_file)
+            target = Thing("true positions", *source, known)
             position = self._anchors.anchors.position[0, 0]
             check_anchors(Thing("anchors", "anchors", self.anchors, position), target)
 
@@ -93,21 +95,6 @@ class Recorded(LogParameters):
     def files(self) -> tuple[DataFile, ...]:
         """The files that the scenario was read from, as they were then."""
         return self._files
-
-    @property
-    def names(self) -> dict[str, Sequence[str]]:
-        """The columns' default names; angles and times carry the declared unit."""
-        a, e, t = self.azimuth_unit, self.elevation_unit, self.time_unit
-        same = ("anchor", "fix", "tag", "sequence", "range_m", "range_sigma_m", "heading_deg")
-        found = {name: [f"{name}_m"] for name in "xyz"}
-        found |= {re.sub("_(m|deg)$", "", name): [name] for name in same}
-        found |= {"azimuth": [f"azimuth_{a}"], "azimuth_sigma": [f"azimuth_sigma_{a}"]}
-        found |= {"elevation": [f"elevation_{e}"], "elevation_sigma": [f"elevation_sigma_{e}"]}
-        found |= {
-            name: list(dict.fromkeys([f"{name}_{t}", name, f"{name}_s"]))
-            for name in ("time", "anchor_time")
-        }
-        return found | {"rssi": ["rssi_dbm"]}  # type: ignore[return-value]
 
     @property
     def recorded(self) -> Measurements:
@@ -125,6 +112,17 @@ class Recorded(LogParameters):
         return self._read.notes
 
     @property
+    def marks(self) -> np.ndarray:
+        """The number (F,) of each fix's true position among the different ones, to 1 mm, from 0;
+        -1 where it is unknown.
+        """
+        truth = np.round(self.tracks.truth[:, :2], 3)
+        known = np.isfinite(truth[:, 0])
+        found = np.full(len(truth), -1)
+        found[known] = np.unique(truth[known], axis=0, return_inverse=True)[1].ravel()
+        return found
+
+    @property
     def known_height_m(self) -> float | None:
         """`height_m`, or the height in m if all true positions have the same one, else None."""
         return self.height_m
@@ -139,8 +137,10 @@ class Recorded(LogParameters):
 
     def offers(self) -> frozenset[str]:
         """The offers of all scenarios, less several anchors if no fix has measurements by two."""
-        heard = np.isfinite(self.recorded.azimuth).sum(axis=1)
-        lone = heard.max(initial=0) < 2
+        found = self.tracks
+        first = np.unique(found.columns, return_index=True)[1]
+        heard = np.logical_or.reduceat(np.isfinite(found.measured.azimuth), first, axis=1)
+        lone = heard.sum(axis=1).max(initial=0) < 2
         return super().offers() - (frozenset({"several_anchors"} if lone else ()))
 
     def unheard(self) -> BadValue:
@@ -165,16 +165,16 @@ class Recorded(LogParameters):
         if self.anchor_ids is not None:
             allowed = "null, unless scenario.anchors is a layout: a file may have the column id"
             raise BadValue("anchor_ids", self.anchor_ids, allowed)
-        return read_anchors("anchors", self.anchors)
+        return read_anchors("anchors", self.anchors, Origin.given(self.origin_deg))
 
     @cached_property
     def _read(self) -> Read:
-        ids = self._anchors.ids
-        packets, notes = self._packets(ids)
+        with_log = self._anchors
+        packets, notes = self._packets(with_log)
         groups = grouped(packets, self.window_s, self.windows)
         if "tag" not in packets.table.names:
             notes += identity.check_identity(packets, groups)
-        found = combined(packets, groups, len(ids), self.combine)
+        found = combined(packets, groups, len(with_log.ids), self.combine)
         if self.gap_s is not None and np.isnan(found.time).any():
             raise BadValue("gap_s", self.gap_s, "null, for a log without the time of every fix")
         track = tracks(groups, found.time, self.gap_s)
@@ -190,34 +190,36 @@ class Recorded(LogParameters):
             columns=found.columns,
         )
         about = [self._counted(packets, made), *groups.notes, *found.notes]
-        return Read(made, (*about, *notes, *self._anchors.notes))
+        return Read(made, (*about, *notes, *with_log.notes))
 
-    def _packets(self, ids: Sequence[str]) -> tuple[Packets, list[str]]:
+    def _packets(self, anchors: AnchorsFile) -> tuple[Packets, list[str]]:
         """The packets of the chosen tags with their true positions, and remarks to print."""
-        table = Table.read("path", self.path, self._chosen())
-        given = Reading(
-            conventions=self._conventions,
-            time_unit=self.time_unit,
+        content = opened("path", self.path, self.reading)
+        declared = self.declared(dict(content.stated))
+        given = Given(
+            conventions=log.Conventions(**{n: declared[n] for n in log.Conventions._fields}),
+            time_unit=declared["time_unit"],
             rssi_absent=self.rssi_absent,
             range_sigma_m=self.range_sigma_m,
             unknown_anchors=self.unknown_anchors,
-            clock_offset=offsets("anchors", self.anchors)
-            if isinstance(self.anchors, str)
-            else None,
+            clock_offset=anchors.clock_offset_s,
         )
+        table = Table.of(content, "path", self.path, self._chosen(content, given))
         try:
-            packets, notes = read_packets(table, ids, given)
+            packets, notes = read_packets(table, anchors.ids, given)
         except BadValue as error:
             why = f"; {self.anchors} has no column id, so that its anchors are called 1, 2, ..."
-            more = why * self._anchors.numbered
+            more = why * anchors.numbered
             raise BadValue(error.key, error.value, error.allowed + more) from None
         if self.tags is not None:
             packets = packets.of_tags([str(tag) for tag in self.tags])
         if self.truth_file is not None:
-            source = read_truth("truth", self.truth_file, self.time_unit)
-            truth = source.at(packets, self.truth_gap_s, self.truth_offset_s)
-            packets = replace(packets, truth=truth)
-        return packets, notes
+            source = read_truth("truth", self.truth_file, given.time_unit, anchors)
+            found, lines = source.at(packets, self.truth_gap_s, self.truth_offset_s)
+            packets, notes = replace(packets, truth=found), [*notes, *lines]
+        elif np.isfinite(packets.truth).any():
+            anchors.check_local("the log's true positions are local")
+        return packets, [*table.notes, *notes]
 
     def _at_height(self, truth: Array) -> Array:
         """True positions (F, 3) m with the known height where z is unknown."""
@@ -229,24 +231,30 @@ class Recorded(LogParameters):
     def _counted(self, packets: Packets, made: Tracks) -> str:
         """A line with the numbers of fixes, tracks, rows and anchors."""
         known, heard = int(np.isfinite(made.truth[:, 0]).sum()), len(np.unique(packets.anchor))
-        tags = "" if packets.tags == ("",) else f" of {len(packets.tags)} tags"
-        several = f" in {len(made.counts)} tracks{tags}" if tags or len(made.counts) > 1 else ""
+        tags = "" if packets.tags == ("",) else f" of {_number(len(packets.tags), 'tag')}"
+        tracks = f" in {_number(len(made.counts), 'track')}{tags}"
+        several = tracks if tags or len(made.counts) > 1 else ""
         found = f"{len(made.fix)} fixes{several}, {known} with ground truth"
-        return f"{self.path}: {found}; {packets.count} rows of {heard} anchors"
+        return f"{packets.table.path}: {found}; {packets.count} rows of {heard} anchors"
 
-    def _chosen(self) -> dict[str, str]:
+    def _chosen(self, content: Content, given: Given) -> dict[str, str]:
         """Map from aoabench's column names to the file's, for the columns to read."""
-        heading = {"heading"} if self._conventions.needs_heading else set()
+        conventions = given.conventions
+        heading = {"heading"} if conventions.needs_heading else set()
         unused = {"heading"} - heading
         unused |= {"elevation", "elevation_sigma"} if self.elevation_kind == "none" else set()
-        unused |= {"x", "y", "z"} if self.truth_file is not None else set()
         named = {name: one for name, one in asdict(self.columns).items() if name not in unused}
-        columns = header("path", self.path)
-        required = {"azimuth", "anchor"} | heading
-        chosen = log.chosen_columns(self.path, columns, named, self.names, required)
+        names = default_names(conventions, given.time_unit)
+        present, required = list(content.columns), {"azimuth", "anchor"} | heading
+        chosen = chosen_columns(self.path, present, named, names, required)
+        own = [chosen[axis] for axis in "xyz" if axis in chosen]
+        if self.truth_file is not None and own:
+            allowed = f"null, for a log with true positions of its own; it has {listed(own)}"
+            raise BadValue("truth", self.truth_file, allowed)
         lone = "tag" not in chosen
-        return chosen | (identity.suspects(columns, list(chosen.values())) if lone else {})
+        return chosen | (identity.suspects(present, list(chosen.values())) if lone else {})
 
-    @property
-    def _conventions(self) -> log.Conventions:
-        return log.Conventions(**{name: getattr(self, name) for name in log.Conventions._fields})
+
+def _number(n: int, word: str) -> str:
+    """'1 tag' or '2 tags'."""
+    return f"{n} {word}" + "s" * (n != 1)

@@ -352,7 +352,7 @@ MISTAKES = {
     "infinite": (HEAD + "1,a1,inf,1,1,1\n", {}, ["line 2 has azimuth_deg=inf"]),
     "decimal commas": (HEAD + "1,a1,1,1,1,1\n1,a2,12,5,1,1,1\n", {}, ["6 cells", "line 3 has more"]),
     "decimal commas first": (HEAD + "1,a1,12,5,1,1,1\n1,a2,1,1,1,1\n", {}, ["6 cells"]),
-    "conflicting duplicates": (HEAD + "1,a1,1,1,1,1\n1,a2,7,1,1,1\n1,a1,2,1,1,1\n", {}, ["line 2", "line 4", "azimuth_deg=1", "azimuth_deg=2", "anchor='a1'", "scenario.combine=mean, median or each"]),
+    "conflicting duplicates": (HEAD + "1,a1,1,1,1,1\n1,a2,7,1,1,1\n1,a1,2,1,1,1\n", {}, ["line 2", "line 4", "azimuth_deg=1", "azimuth_deg=2", "anchor='a1'", "scenario.combine=median, mean or each"]),
     "header alone": (HEAD, {}, ["scenario.path='log.csv'", "at least one row"]),
     "empty": ("", {}, ["scenario.path='log.csv'", "empty"]),
     "open quote": (HEAD + '1,a1,1,1,1,"1\n', {}, ["scenario.path='log.csv'", "readable"]),
