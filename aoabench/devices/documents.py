@@ -30,16 +30,18 @@ def from_json(text: bytes, path: str) -> Rows:
         if line.strip():
             try:
                 found.append(json.loads(line))
-            except ValueError:
+            except (ValueError, RecursionError):
                 raise ValueError(f"line {i + 1} is no JSON object") from None
             places.append(i)
     return _records(found, places, Part(0, "line", 1))
 
 
 def _document(text: bytes) -> Any:
-    """The one JSON document that a text is, or None."""
+    """The one JSON document that a text is, or None; raises ValueError for one nested too deep."""
     try:
         return json.loads(text)
+    except RecursionError:
+        raise ValueError("its JSON is nested too deep") from None
     except ValueError:
         return None
 

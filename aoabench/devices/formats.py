@@ -13,7 +13,7 @@ from aoabench.devices.delimited import delimited
 from aoabench.devices.documents import from_excel, from_json
 from aoabench.devices.foreign import reason_of
 from aoabench.devices.parquet import parquet
-from aoabench.devices.reading import AUTO, FILE, Content, Part, Reading
+from aoabench.devices.reading import AUTO, FILE, Content, FileFormat, Part
 from aoabench.devices.silabs import is_angles_alone, is_silabs, silabs
 from aoabench.devices.sources import KINDS, expanded, stem, text_of
 from aoabench.devices.ublox import is_ublox, ublox
@@ -25,13 +25,14 @@ if TYPE_CHECKING:
 
 HEAD = 1 << 16  # bytes that show a format
 _LOOKS = {"ublox": "u-blox lines (+UUDF)", "silabs": "Silicon Labs angles", "table": "a table"}
+DEVICES = {"ublox": ublox, "silabs": silabs}
 _TOPICS = (
     "these look like Silicon Labs angles without their topics, which name locator and tag: "
     "`mosquitto_sub -v` records both"
 )
 
 
-def opened(key: str, path: Any, given: Reading = AUTO) -> Content:
+def opened(key: str, path: Any, given: FileFormat = AUTO) -> Content:
     """The content of a path, a list of paths or a glob; read once within `loaded.reading`.
 
     Several files are one content, whose column `file` has each file's name. Raises BadValue for a
@@ -41,18 +42,18 @@ def opened(key: str, path: Any, given: Reading = AUTO) -> Content:
     return loaded.once(("content", files, given), lambda: _opened(key, path, files, given))
 
 
-def _opened(key: str, path: Any, files: Sequence[str], given: Reading) -> Content:
+def _opened(key: str, path: Any, files: Sequence[str], given: FileFormat) -> Content:
     folder = path if isinstance(path, str) and os.path.isdir(path) else ""
     found = [widened(_one(key, file, given, folder), given.patterns) for file in files]
     whole = found[0]
     if len(found) > 1:
         whole = several(key, path, found, files)
-    if given.separator is None and not whole.columns:
+    if not whole.columns:
         raise BadValue(key, path, f"a {KINDS}")
     return whole
 
 
-def _one(key: str, path: str, given: Reading, folder: str) -> Content:
+def _one(key: str, path: str, given: FileFormat, folder: str) -> Content:
     """The content of one file."""
     try:
         text = text_of(path)
@@ -67,21 +68,19 @@ def _one(key: str, path: str, given: Reading, folder: str) -> Content:
         raise BadValue(key, path, f"a readable {KINDS}; {reason_of(error)}") from None
 
 
-def text_content(text: bytes, key: str, path: str, given: Reading) -> Content:
+def text_content(text: bytes, key: str, path: str, given: FileFormat) -> Content:
     """The content of a text in the declared or recognised format."""
     head = text[:HEAD].decode(errors="replace")
     looks = looks_like(head)
-    if given.format not in ("auto", "table", looks):
-        wanted = f"{_LOOKS[given.format]}, as scenario.format={given.format} declares"
+    declared = looks if given.format == "auto" else given.format
+    device = DEVICES.get(declared)
+    found = device(text.decode(errors="replace"), path) if device else None
+    if declared != looks and (found is None or found.frame.empty):
+        wanted = f"{_LOOKS[declared]}, as scenario.format={declared} declares"
         hint = f"these look like {_LOOKS[looks]}: scenario.format={looks}"
         raise BadValue(key, path, f"{wanted}; {hint}")
-    if given.format == "table" and looks != "table":
-        hint = f"these look like {_LOOKS[looks]}: scenario.format={looks}"
-        raise BadValue(key, path, f"a table, as scenario.format=table declares; {hint}")
-    if looks == "ublox":
-        return ublox(text.decode(errors="replace"), path)
-    if looks == "silabs":
-        return silabs(text.decode(errors="replace"), path)
+    if found is not None:
+        return found
     if is_angles_alone(head):
         raise BadValue(key, path, f"a {KINDS}; {_TOPICS}")
     if text.lstrip()[:1] in (b"{", b"["):

@@ -18,7 +18,7 @@ FILE = "file"  # the column that names each row's file, if several are read
 
 
 @dataclass(frozen=True)
-class Reading:
+class FileFormat:
     """How a log is read; the defaults recognise the file.
 
     format: one of FORMATS. header: the names of the columns of a table without a header. separator:
@@ -42,8 +42,6 @@ class Reading:
             raise BadValue("separator", mark, "one character between cells, tab, space, or null")
         if self.decimal not in (None, ".", ","):
             raise BadValue("decimal", self.decimal, "'.', ',' or null")
-        if self.decimal is not None and self.decimal == mark:
-            raise BadValue("decimal", self.decimal, "another character than scenario.separator")
         self._check_header()
         for name in self.patterns:
             if name.count(ANCHOR) != 1:
@@ -62,7 +60,7 @@ class Reading:
         object.__setattr__(self, "header", names)
 
 
-AUTO = Reading()
+AUTO = FileFormat()
 
 
 class Part(NamedTuple):
@@ -110,7 +108,6 @@ class Rows(Content):
     frame: pd.DataFrame = None  # type: ignore[assignment]
 
     def cells(self, names: Mapping[str, str]) -> pd.DataFrame:
-        import pandas as pd
-
-        chosen = {ours: self.frame[theirs] for ours, theirs in names.items()}
-        return pd.DataFrame(chosen, index=self.frame.index)
+        found = self.frame.reindex(columns=list(names.values()))
+        found.columns = list(names)
+        return found

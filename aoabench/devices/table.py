@@ -17,7 +17,7 @@ import numpy as np
 
 from aoabench.devices.foreign import reason_of
 from aoabench.devices.formats import opened
-from aoabench.devices.reading import ANCHOR, AUTO, Part, Reading
+from aoabench.devices.reading import ANCHOR, AUTO, FileFormat, Part
 from aoabench.devices.sources import KINDS
 from aoabench.errors import BadValue, did_you_mean, listed, shorten
 from aoabench.maths.geometry import Array
@@ -46,16 +46,19 @@ class Table:
     stated: Mapping[str, str] = field(default_factory=dict)
 
     @staticmethod
-    def read(key: str, path: Any, names: Mapping[str, str], reading: Reading = AUTO) -> Table:
+    def read(key: str, path: Any, names: Mapping[str, str], reading: FileFormat = AUTO) -> Table:
         """Read the columns `names` (aoabench's name -> the file's); empty rows are left out.
 
         The file has to contain each column once.
         """
-        return Table.of(opened(key, path, reading), key, path, names)
+        table = Table.of(opened(key, path, reading), key, path, names)
+        if not len(table.frame):
+            raise table.bad("a file with at least one row")
+        return table
 
     @staticmethod
     def of(content: Content, key: str, path: Any, names: Mapping[str, str]) -> Table:
-        """The columns `names` of an opened file."""
+        """The columns `names` of an opened file, which may have no rows."""
         try:
             frame = content.cells(names)
         except BadValue:
@@ -64,10 +67,7 @@ class Table:
             raise BadValue(key, path, f"a readable {KINDS}; {reason_of(error)}") from None
         shown = {ours: content.shown(theirs) for ours, theirs in names.items()}
         table = Table(key, path, shown, frame, content.parts, content.notes, content.stated)
-        table = table.where(table.frame.notna().any(axis=1).to_numpy())
-        if not len(table.frame):
-            raise table.bad("a file with at least one row")
-        return table
+        return table.where(table.frame.notna().any(axis=1).to_numpy())
 
     def where(self, keep: np.ndarray) -> Table:
         """The table of the rows where `keep` (N,) is True."""

@@ -52,7 +52,7 @@ def ublox(text: str, path: str, first: int = 1) -> Rows:
     frame = pd.DataFrame(dict(zip(COLUMNS, map(list, values))), dtype=object)
     for name in COLUMNS:
         if name not in ("tag", "anchor", "text"):
-            frame[name] = pd.to_numeric(frame[name].replace("", "nan")).astype(float)
+            frame[name] = pd.to_numeric(frame[name].where(frame[name] != "")).astype(float)
     frame["anchor_time_s"] /= 1e3
     if frame["sequence"].isna().all():
         frame = frame.drop(columns="sequence")
