@@ -75,7 +75,7 @@ def from_excel(content: bytes, path: str, header: tuple[str, ...] | None) -> Row
     except ImportError:
         raise ValueError(_EXTRA) from None
     sheet, others = str(book.sheet_names[0]), len(book.sheet_names) - 1
-    frame = book.parse(sheet, header=None if header else 0)
+    frame = pd.read_excel(book, sheet_name=0, header=None if header else 0)
     if header and len(header) != len(frame.columns):
         raise ValueError(f"sheet {sheet!r} has {len(frame.columns)} columns, header {len(header)}")
     frame.columns = list(header or (str(name).strip() for name in frame.columns))

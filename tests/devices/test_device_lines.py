@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 from aoabench.devices.columns import header
@@ -77,7 +78,7 @@ def test_times_of_the_host(before, time, here):
 
 
 def test_times_of_day_go_on_after_midnight():
-    found = seconds(["23:59:59.5 ", "00:00:00.5 ", "", "23:59:59.9 ", "00:00:01 "])
+    found = seconds(pa.array(["23:59:59.5 ", "00:00:00.5 ", "", "23:59:59.9 ", "00:00:01 "]))
     np.testing.assert_allclose(found, [86399.5, 86400.5, np.nan, 86399.9, 86401.0])
 
 
