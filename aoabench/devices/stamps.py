@@ -37,13 +37,9 @@ def seconds(before: Any) -> Array | None:
 
 def _dates(groups: dict[str, Any]) -> Array:
     import pandas as pd
-    import pyarrow.compute as pc
 
-    joined = pc.binary_join_element_wise(groups["date"], groups["time"], "T")
-    moments = pd.to_datetime(
-        pc.binary_join_element_wise(joined, groups["zone"], "").to_pandas().astype(str),
-        format="ISO8601", utc=True, errors="coerce",
-    )  # fmt: skip
+    texts = joined(joined(groups["date"], groups["time"], "T"), groups["zone"], "").to_pandas()
+    moments = pd.to_datetime(texts, format="ISO8601", utc=True, errors="coerce")
     since = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
     return np.asarray(since, dtype=float) + _fraction(groups)
 
