@@ -82,7 +82,7 @@ def test_the_shipped_anchors_are_a_file_like_any_other(here):
 
 
 BAD = {
-    "no y": ("x_m,z_m\n1,2\n", ["it has x_m, z_m", ", ".join(COLUMNS[-3:])]),
+    "no y": ("x_m,z_m\n1,2\n", ["it has x_m, z_m", ", ".join(COLUMNS[-4:])]),
     "misspelt": ("x_m,ym\n1,2\n", ["did you mean 'ym'"]),
     "twice": ("x_m,y_m,z_m,z_m\n1,2,3,3\n", ["each once"]),
     "empty": ("", ["line 1 is empty"]),
@@ -96,7 +96,11 @@ BAD = {
     "tilt": ("x_m,y_m,Tilt (deg)\n1,2,90\n", ["'Tilt (deg)'", "call it pitch_deg"]),
     "height": ("x_m,y_m,height_m\n1,2,3\n", ["'height_m'", "call it z_m"]),
     "roll in rad": ("x_m,y_m,roll_rad\n1,2,3\n", ["'roll_rad'", "call it roll_deg"]),
-    "degrees": ("lat,lon\n60,24\n", ["it has lat, lon", "degrees", "local m"]),
+    "half of the degrees": ("lat,x_m\n60,24\n", ["it has lat, x_m", "lat_deg and lon_deg"]),
+    "far north": ("lat,lon\n160,24\n", ["latitudes within +-90", "160"]),
+    "exchanged": ("lat,lon\n-123,45\n", ["latitudes and longitudes are exchanged?"]),
+    "two heights": ("lat,lon,z_m,alt\n60,24,1,2\n", ["one column of heights", "alt and z_m"]),
+    "clocks": ("x_m,y_m,clock_offset_s\n1,2,late\n", ["line 2 has clock_offset_s='late'"]),
 }  # fmt: skip
 
 
