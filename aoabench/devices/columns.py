@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from aoabench.devices.formats import opened
-from aoabench.devices.reading import AUTO, FileFormat
+from aoabench.devices.reading import AUTO, Reading
 from aoabench.devices.sources import EXISTING, KINDS
 from aoabench.errors import listed
 
 __all__ = ["EXISTING", "KINDS", "header", "shown_columns"]
 
 
-def header(key: str, path: Any, reading: FileFormat = AUTO) -> list[str]:
+def header(key: str, path: Any, reading: Reading = AUTO) -> list[str]:
     """The names of a file's columns; in Parquet with those of pandas' index, in a wide table with
     those of the long table that it makes.
     """

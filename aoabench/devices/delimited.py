@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aoabench.devices.dialects import COMMAS, Dialect, cells_of, dialect_of, without_comments
-from aoabench.devices.reading import Content, FileFormat, Part
+from aoabench.devices.reading import Content, Part, Reading
 from aoabench.errors import BadValue
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Delimited(Content):
 
 
 def delimited(
-    text: bytes, key: str, path: str, given: FileFormat, known: Dialect | None = None
+    text: bytes, key: str, path: str, given: Reading, known: Dialect | None = None
 ) -> Delimited:
     """The content of a text; its dialect is `known`, or else recognised.
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from aoabench.devices.reading import FileFormat
+from aoabench.devices.reading import Reading
 from aoabench.errors import BadValue
 
 MARKS = ("\t", ";", "|", ",")  # separators that are recognised, the surest first
@@ -36,7 +36,7 @@ class Dialect:
 COMMAS = Dialect(",", ".", (), 0, False)
 
 
-def dialect_of(text: bytes, key: str, path: str, given: FileFormat) -> Dialect:
+def dialect_of(text: bytes, key: str, path: str, given: Reading) -> Dialect:
     """The dialect of a text in UTF-8, recognised from its first lines where it is not given.
 
     Raises BadValue for names given to another number of columns, and ValueError for a text without

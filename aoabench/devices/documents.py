@@ -7,20 +7,16 @@ from io import BytesIO
 from typing import Any
 
 from aoabench.devices.reading import Part, Rows
-from aoabench.devices.silabs import is_config, locators
 
 _EXTRA = "reading .xlsx needs the extra: pip install 'aoabench[xlsx]'; or save it as CSV"
 
 
 def from_json(text: bytes, path: str) -> Rows:
-    """JSON lines, an array of objects, or a positioning_config.json; names of nested values are
-    joined by dots.
+    """JSON lines, or an array of objects; names of nested values are joined by dots.
 
     Raises ValueError for other JSON, with the line where it is torn.
     """
     document = _document(text)
-    if is_config(document):
-        return locators(document, path)
     if isinstance(document, list):
         return _records(document, list(range(len(document))), Part(0, "row", 1))
     if isinstance(document, dict) and b"\n" in text.strip():

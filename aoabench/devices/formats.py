@@ -13,7 +13,7 @@ from aoabench.devices.delimited import delimited
 from aoabench.devices.documents import from_excel, from_json
 from aoabench.devices.foreign import reason_of
 from aoabench.devices.parquet import parquet
-from aoabench.devices.reading import AUTO, FILE, Content, FileFormat, Part
+from aoabench.devices.reading import AUTO, FILE, Content, Part, Reading
 from aoabench.devices.silabs import is_angles_alone, is_silabs, silabs
 from aoabench.devices.sources import KINDS, expanded, stem, text_of
 from aoabench.devices.ublox import is_ublox, ublox
@@ -32,7 +32,7 @@ _TOPICS = (
 )
 
 
-def opened(key: str, path: Any, given: FileFormat = AUTO) -> Content:
+def opened(key: str, path: Any, given: Reading = AUTO) -> Content:
     """The content of a path, a list of paths or a glob; read once within `loaded.reading`.
 
     Several files are one content, whose column `file` has each file's name. Raises BadValue for a
@@ -42,7 +42,7 @@ def opened(key: str, path: Any, given: FileFormat = AUTO) -> Content:
     return loaded.once(("content", files, given), lambda: _opened(key, path, files, given))
 
 
-def _opened(key: str, path: Any, files: Sequence[str], given: FileFormat) -> Content:
+def _opened(key: str, path: Any, files: Sequence[str], given: Reading) -> Content:
     folder = path if isinstance(path, str) and os.path.isdir(path) else ""
     found = [widened(_one(key, file, given, folder), given.patterns) for file in files]
     whole = found[0]
@@ -53,7 +53,7 @@ def _opened(key: str, path: Any, files: Sequence[str], given: FileFormat) -> Con
     return whole
 
 
-def _one(key: str, path: str, given: FileFormat, folder: str) -> Content:
+def _one(key: str, path: str, given: Reading, folder: str) -> Content:
     """The content of one file."""
     try:
         text = text_of(path)
@@ -68,7 +68,7 @@ def _one(key: str, path: str, given: FileFormat, folder: str) -> Content:
         raise BadValue(key, path, f"a readable {KINDS}; {reason_of(error)}") from None
 
 
-def text_content(text: bytes, key: str, path: str, given: FileFormat) -> Content:
+def text_content(text: bytes, key: str, path: str, given: Reading) -> Content:
     """The content of a text in the declared or recognised format."""
     head = text[:HEAD].decode(errors="replace")
     looks = looks_like(head)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from aoabench.devices.delimited import Delimited, following
 from aoabench.devices.foreign import reason_of
 from aoabench.devices.formats import DEVICES, looks_like, text_content
-from aoabench.devices.reading import AUTO, Content, FileFormat, Rows
+from aoabench.devices.reading import AUTO, Content, Reading, Rows
 from aoabench.devices.sources import KINDS
 from aoabench.devices.wide import widened
 from aoabench.errors import BadValue
@@ -25,7 +25,7 @@ class Live:
     "-".
     """
 
-    def __init__(self, key: str, path: str, given: FileFormat = AUTO) -> None:
+    def __init__(self, key: str, path: str, given: Reading = AUTO) -> None:
         self._key, self._path, self._given = key, path, given
         self._rest = b""
         self._line = 1  # the number of the first line of the rest

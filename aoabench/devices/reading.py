@@ -18,7 +18,7 @@ FILE = "file"  # the column that names each row's file, if several are read
 
 
 @dataclass(frozen=True)
-class FileFormat:
+class Reading:
     """How a log is read; the defaults recognise the file.
 
     format: one of FORMATS. header: the names of the columns of a table without a header. separator:
@@ -60,7 +60,7 @@ class FileFormat:
         object.__setattr__(self, "header", names)
 
 
-AUTO = FileFormat()
+AUTO = Reading()
 
 
 class Part(NamedTuple):

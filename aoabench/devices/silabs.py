@@ -1,19 +1,17 @@
-"""Silicon Labs' locators: angles from MQTT, as `mosquitto_sub -v` prints them, and their places.
+"""Angles of Silicon Labs' locators from MQTT, as `mosquitto_sub -v` prints them.
 
     silabs/aoa/angle/<locator>/<tag> {"azimuth": deg, "azimuth_stdev": deg, "elevation": deg,
         "elevation_stdev": deg, "distance": m, "distance_stdev": m, "sequence": n}
 
 Angles are in the locator's frame, the azimuth counter-clockwise seen from its +z. A negative
 deviation means that there was no line of sight. Other topics are not read. A time of the host may
-stand in front of the topic. positioning_config.json has the locators' coordinates in m, and their
-orientations as Rz(z) Ry(y) Rx(x) in deg.
+stand in front of the topic.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from typing import Any
 
 import numpy as np
 
@@ -83,28 +81,3 @@ def _left(path: str, torn: int, others: int) -> tuple[str, ...]:
     if others:
         found.append(f"{path}: {others} messages of other topics than silabs/aoa/angle, not read")
     return tuple(found)
-
-
-def is_config(found: Any) -> bool:
-    """Whether a JSON document is a positioning_config.json."""
-    return isinstance(found, dict) and isinstance(found.get("locators"), list)
-
-
-def locators(found: dict[str, Any], path: str) -> Rows:
-    """The locators of a positioning_config.json as anchors; raises ValueError if one lacks its id
-    or coordinates.
-    """
-    import pandas as pd
-
-    rows = []
-    for i, one in enumerate(found["locators"], start=1):
-        try:
-            place, turn = one["coordinate"], one.get("orientation") or {}
-            angles = [turn.get(axis, 0.0) for axis in "zyx"]
-            rows.append([str(one["id"]), *(place[axis] for axis in "xyz"), *angles])
-        except (KeyError, TypeError, AttributeError):
-            words = "id and coordinate: {x, y, z}"
-            raise ValueError(f"a locator has {words}; locator {i} has not") from None
-    names = ["id", "x_m", "y_m", "z_m", "facing_deg", "pitch_deg", "roll_deg"]
-    frame = pd.DataFrame(rows, columns=names)
-    return Rows(names, (Part(0, "locator", 1),), (), {}, frame)

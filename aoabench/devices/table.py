@@ -17,7 +17,7 @@ import numpy as np
 
 from aoabench.devices.foreign import reason_of
 from aoabench.devices.formats import opened
-from aoabench.devices.reading import ANCHOR, AUTO, FileFormat, Part
+from aoabench.devices.reading import ANCHOR, AUTO, Part, Reading
 from aoabench.devices.sources import KINDS
 from aoabench.errors import BadValue, did_you_mean, listed, shorten
 from aoabench.maths.geometry import Array
@@ -46,19 +46,24 @@ class Table:
     stated: Mapping[str, str] = field(default_factory=dict)
 
     @staticmethod
-    def read(key: str, path: Any, names: Mapping[str, str], reading: FileFormat = AUTO) -> Table:
+    def read(key: str, path: Any, names: Mapping[str, str], reading: Reading = AUTO) -> Table:
         """Read the columns `names` (aoabench's name -> the file's); empty rows are left out.
 
         The file has to contain each column once.
         """
-        table = Table.of(opened(key, path, reading), key, path, names)
+        return Table.of(opened(key, path, reading), key, path, names)
+
+    @staticmethod
+    def of(content: Content, key: str, path: Any, names: Mapping[str, str]) -> Table:
+        """The columns `names` of an opened file; raises BadValue for one without rows."""
+        table = Table.piece(content, key, path, names)
         if not len(table.frame):
             raise table.bad("a file with at least one row")
         return table
 
     @staticmethod
-    def of(content: Content, key: str, path: Any, names: Mapping[str, str]) -> Table:
-        """The columns `names` of an opened file, which may have no rows."""
+    def piece(content: Content, key: str, path: Any, names: Mapping[str, str]) -> Table:
+        """The columns `names` of a piece of a log, which may have no rows."""
         try:
             frame = content.cells(names)
         except BadValue:

@@ -10,7 +10,7 @@ import pytest
 
 from aoabench.devices.columns import header
 from aoabench.devices.live import Live
-from aoabench.devices.reading import FileFormat
+from aoabench.devices.reading import Reading
 from aoabench.devices.stamps import seconds
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue
@@ -27,7 +27,7 @@ def here(tmp_path, monkeypatch):
 
 def read(content, path="capture.log", **given):
     Path(path).write_bytes(content if isinstance(content, bytes) else content.encode())
-    form = FileFormat(**given)
+    form = Reading(**given)
     names = header("path", path, form)
     return Table.read("path", path, {name: name for name in names}, form)
 
@@ -163,7 +163,7 @@ def test_pieces_make_the_whole(text, size, here):
     pieces = [content[i : i + size] for i in range(0, len(content), size)]
     for found in (*map(live.feed, pieces), live.end()):
         if found is not None:
-            table = Table.of(found, "path", "-", chosen)
+            table = Table.piece(found, "path", "-", chosen)
             places = [table.at(i) for i in range(len(table.frame))]
             frames.append(table.frame.assign(place=places))
     together = pd.concat(frames).reset_index(drop=True)

@@ -12,7 +12,7 @@ import pytest
 
 from aoabench import loaded
 from aoabench.devices.columns import header
-from aoabench.devices.reading import FileFormat
+from aoabench.devices.reading import Reading
 from aoabench.devices.sources import content_of
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue
@@ -37,7 +37,7 @@ def rows(rng):
 
 
 def read(path="log.csv", names=CHOSEN, **given):
-    return Table.read("path", path, names, FileFormat(**given))
+    return Table.read("path", path, names, Reading(**given))
 
 
 def check(table, rows):
@@ -253,7 +253,7 @@ def test_a_wide_table_equals_the_long_one(azimuth, elevation, given, rng, here):
         "azimuth": names[0],
         "elevation": names[1],
     }
-    assert set(chosen.values()) <= set(header("path", "log.csv", FileFormat(**given)))
+    assert set(chosen.values()) <= set(header("path", "log.csv", Reading(**given)))
     table = read(names=chosen, **given)
     keep = np.isfinite(values).all(axis=2)
     keep[4, 0] = True
@@ -327,13 +327,13 @@ def test_of_a_file_that_grows_whole_lines_are_read(cut, here):
 ])  # fmt: skip
 def test_options_that_are_wrong(given, words):
     with pytest.raises(BadValue, match=words):
-        FileFormat(**given)
+        Reading(**given)
 
 
 def test_a_separator_that_the_file_does_not_have(rows, here):
     rows.to_csv("log.csv", index=False, sep=";")
     with pytest.raises(BadValue, match=r"separated by ';'\?"):
-        header("path", "log.csv", FileFormat(separator="|"))
+        header("path", "log.csv", Reading(separator="|"))
 
 
 def test_memory_is_about_the_file(rng, here):
