@@ -78,8 +78,12 @@ class Scenario(CheckedParams):
 
     @property
     def tracks(self) -> Tracks | None:
-        """Recorded tracks, of which each is a replication, or None."""
-        return None
+        """Recorded tracks, of which each is a replication, or None; one track if `recorded` has
+        measurements.
+        """
+        if self.recorded is None:
+            return None
+        return Tracks.single(self.truth(np.random.default_rng(0))[:, :3], self.recorded)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -130,10 +134,11 @@ class Scenario(CheckedParams):
         found = {"motion", "prior"} if self.motion is not None else set()
         found |= {"height"} if self.known_height_m is not None else set()
         found |= {"several_anchors"} if self.true_anchors.count > 1 else set()
-        if self.recorded is None:
+        tracks = self.tracks
+        if tracks is None:
             return frozenset(found | {"truth"})
-        known = bool(np.isfinite(self.truth(np.random.default_rng(0))[:, :2]).any())
-        return frozenset(found | ({"truth"} if known else set()) | self.recorded.offers())
+        known = bool(np.isfinite(tracks.truth[:, :2]).any())
+        return frozenset(found | ({"truth"} if known else set()) | tracks.measured.offers())
 
 
 class Noise(CheckedParams):
