@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aoabench.filters.belief import Belief
 from aoabench.filters.divergence import ExtentBound, marked, sound
 from aoabench.filters.kalman import EKF
 from aoabench.filters.smoother import KERNELS, finite, smoothed
@@ -27,7 +28,7 @@ from aoabench.filters.track_model import Quadratic, TrackModel
 from aoabench.kernels.loading import engine_param, prepare
 from aoabench.maths.geometry import Array
 from aoabench.params import param
-from aoabench.roles import Belief, Filter, Measurement, Scenario
+from aoabench.roles import Filter, Measurement, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from aoabench.filters.belief import Belief
 from aoabench.filters.divergence import Filtered, InnovationBound
 from aoabench.kernels.loading import Compiled
-from aoabench.roles import Belief, Estimator, Scenario
+from aoabench.roles import Estimator, Scenario
 from aoabench.types import Batch
 
 Recursion = tuple[Filtered, Belief]

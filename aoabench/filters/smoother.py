@@ -20,13 +20,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aoabench.filters.belief import Belief
 from aoabench.filters.recursion import KalmanFilter
 from aoabench.filters.roots import EPS
 from aoabench.kernels.loading import load, prepare
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import cholesky
 from aoabench.params import param
-from aoabench.roles import Belief, Estimator, Noise, Scenario
+from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates
 
@@ -85,11 +86,6 @@ class RTSSmoother(Estimator):
         return self.filter.trace(batch, scenario, streams)
 
 
-def per_step(matrix: Array) -> Array:
-    """F or Q of a Belief, (n, n) or (R|1, T|1, n, n), as (R|1, T|1, n, n)."""
-    return np.ascontiguousarray(matrix.reshape((1,) * (4 - matrix.ndim) + matrix.shape))
-
-
 def smoothed(x: Array, P: Array, belief: Belief, engine: str = "auto") -> tuple[Array, Array]:
     """Smoothed states (R, T, n) and covariances (R, T, n, n) from the filtered ones, which are
     overwritten.
@@ -97,7 +93,7 @@ def smoothed(x: Array, P: Array, belief: Belief, engine: str = "auto") -> tuple[
     Where the next step is not finite, as after the end of a track, the filtered state remains.
     """
     x, P = np.ascontiguousarray(x), np.ascontiguousarray(P)
-    F, Q = per_step(belief.F), per_step(belief.Q)
+    F, Q = np.ascontiguousarray(belief.F), np.ascontiguousarray(belief.Q)
     kernels = load(KERNELS) if engine == "auto" else None
     if kernels is None:
         return backward_pass(x, P, F, Q)

@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aoabench.filters.belief import Belief
 from aoabench.filters.compiled import kind_of
 from aoabench.filters.roots import near
-from aoabench.filters.smoother import KERNELS, at_step, backward_pass, per_step, predicted
+from aoabench.filters.smoother import KERNELS, at_step, backward_pass, predicted
 from aoabench.kernels.loading import load
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import cholesky
-from aoabench.roles import Belief, Measurement
+from aoabench.roles import Measurement
 from aoabench.types import Anchors, Batch
 
 ELEMENTS = 2**21  # numbers of a block of derivatives
@@ -47,7 +48,7 @@ class Quadratic(NamedTuple):
 
 class TrackModel(NamedTuple):
     """Measurement model h, measurements y (R, T, m), NaN = not measured, with nominal variances
-    (R, T, m), and anchors; prior mean (R, n) and covariance (R|1, n, n); F and Q (R|1, T|1, n, n);
+    (R, T, m), and anchors; prior mean (R, n) and covariance (1, n, n); F and Q (R|1, T|1, n, n);
     roots of the inverse covariances of the first state (R|1, n, n) and of Q.
     """
 
@@ -66,8 +67,8 @@ class TrackModel(NamedTuple):
     @classmethod
     def of(cls, h: Measurement, batch: Batch, belief: Belief, engine: str) -> TrackModel:
         """The model of a tile."""
-        F, Q = per_step(belief.F), per_step(belief.Q)
-        prior = np.ascontiguousarray(belief.covariance.reshape(-1, *belief.covariance.shape[-2:]))
+        F, Q = np.ascontiguousarray(belief.F), np.ascontiguousarray(belief.Q)
+        prior = np.ascontiguousarray(belief.covariance, dtype=float)[None]
         first = inverse_root(predicted(prior, at_step(F, 0), at_step(Q, 0)))
         mean = np.ascontiguousarray(belief.mean, dtype=float)
         given = h, *h.observe(batch), batch.anchors

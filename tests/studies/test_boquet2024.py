@@ -400,11 +400,15 @@ def test_thresholds_keep_the_best_scores_up_to_the_coverage():
 
 EXPERIMENT = "experiment=boquet2024_methods"
 READINGS = "experiment=boquet2024_readings"
+ROBUST = "experiment=boquet2024_robust"
 
 
 @pytest.fixture(scope="module")
 def cells():
-    return {e: compose_cells([e, "scenario.packets=4", "reps=5"]) for e in (EXPERIMENT, READINGS)}
+    return {
+        e: compose_cells([e, "scenario.packets=4", "reps=5"])
+        for e in (EXPERIMENT, READINGS, ROBUST)
+    }
 
 
 def campaign(rng, names, R=5, P=42, K=4):
@@ -418,7 +422,7 @@ def campaign(rng, names, R=5, P=42, K=4):
         fixes[name] = made(
             base + 0.05 * rng.random(base.shape),
             reject,
-            score=base if name in numbers.SCORED else NAN,
+            score=base if name in numbers.SCORED or name.startswith("robust") else NAN,
         )
     return fixes
 
@@ -645,6 +649,63 @@ def test_sets_that_differ_are_those_that_the_votes_choose(cells):
     assert any(pairs), "the numbers of anchors alone would not tell"
 
 
+# --- the robust estimator -------------------------------------------------------------------------
+
+
+def test_the_robust_estimator_is_compared_at_full_and_at_equal_coverage(cells):
+    """Against plain counts over fixes of which the smallest scores are kept by hand."""
+    rng = np.random.default_rng(11)
+    fixes = campaign(rng, cells[ROBUST][0].estimators)
+    score = rng.random(fixes["robust_ml"].score.shape)
+    error = np.abs(rng.normal(0, 0.7, score.shape))
+    fixes["robust_ml"] = dataclasses.replace(fixes["robust_ml"], score=score, error_xy_m=error)
+    rows = numbers.robust([(None, fixes)]).set_index(["at", "method", "other"])
+    e, other = (fixes[name].error_xy_m for name in ("robust_ml", "vmf_ml"))
+    more = rows.loc[("all", "robust_ml", "vmf_ml")]
+    assert more["more"] == pytest.approx((e <= 1).mean() - (other <= 1).mean())
+    df = fixes["df_boxes_10"].error_xy_m
+    given = np.isfinite(df)
+    assert 0.1 < given.mean() < 0.95
+    best = np.sort(score, axis=None)[given.sum() - 1]
+    level = rows.loc[("coverage", "robust_ml", "df 1")]
+    assert level["coverage"] == pytest.approx(given.mean())
+    expected = (e[score <= best] <= 1).mean() - (df[given] <= 1).mean()
+    assert level["more"] == pytest.approx(expected)
+    same = rows.loc[("accepted", "robust_ml", "df 1")]
+    assert same["more"] == pytest.approx((e[given] <= 1).mean() - (df[given] <= 1).mean())
+
+
+def test_the_robust_estimator_enters_no_claim_of_the_paper(values):
+    every = {key for found in values.values() for key in found if "robust" in key}
+    assert every
+    assert every == {key for key in every if key.startswith("robust/")}
+    read = {i for c in STUDY.claims for r in c.readings for i in r.ids(values[c.item])}
+    assert not read & every
+
+
+def test_the_filters_beside_the_robust_estimator_are_those_of_the_methods(cells):
+    filters, mine = ({n: e for n, e in cells[x][0].estimators.items() if n.startswith("df_boxes")}
+                     for x in (EXPERIMENT, ROBUST))  # fmt: skip
+    assert len(mine) == 20
+    assert mine == filters
+
+
+def test_variants_of_the_robust_estimator_differ_in_what_their_names_say(cells):
+    found = cells[ROBUST][0].estimators
+    base = found["robust_ml"]
+    for name, what in numbers.robust_variants.items():
+        changed = {
+            f.name: getattr(found[name], f.name)
+            for f in dataclasses.fields(base)
+            if getattr(found[name], f.name) != getattr(base, f.name)
+        }
+        factor = {"half": 0.5, "twice": 2.0}.get(what.partition(", ")[2].split(" ")[0], 1.0)
+        sigmas = {"azimuth_sigma_deg": 6 * factor, "elevation_sigma_deg": 12 * factor}
+        loss = what.partition(",")[0]
+        expected = {} if loss == "student" else {"loss": loss}
+        assert changed == expected | (sigmas if factor != 1 else {})
+
+
 # --- claims ---------------------------------------------------------------------------------------
 
 
@@ -656,8 +717,9 @@ def tables(cells, made_up, fig2, fig6, rule):
     for item in STUDY.items:
         if item.name in found:
             continue
-        if item.reads == "fixes" and item.experiment == READINGS.partition("=")[2]:
-            runs = [(cell, campaign(rng, cell.estimators)) for cell in cells[READINGS]]
+        experiment = f"experiment={item.experiment}"
+        if item.reads == "fixes" and experiment != EXPERIMENT:
+            runs = [(cell, campaign(rng, cell.estimators)) for cell in cells[experiment]]
             found[item.name] = getattr(numbers, item.name)(runs)
         elif item.reads == "fixes":
             found[item.name] = getattr(numbers, item.name)([(cells[EXPERIMENT][0], made_up)])
@@ -716,7 +778,7 @@ def test_the_unnamed_panel_is_judged_by_its_printed_mean():
 
 def test_all_claims_on_the_campaign_say_that_it_is_synthetic():
     campaigns = [item for item in STUDY.items if item.reads == "fixes"]
-    assert len(campaigns) == 11
+    assert len(campaigns) == 12
     assert all("synthetic" in item.basis for item in campaigns)
 
 

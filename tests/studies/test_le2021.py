@@ -184,13 +184,11 @@ def test_capped_errors_of_converged_fixes_bound_the_ratio(rng):
 
 
 def test_the_pole_runs_every_estimator_that_fits():
-    """So that a sentence on all estimators is one on all that ship; but those for outliers, of which
-    the study has none.
-    """
+    """So that a sentence on all estimators is one on all that ship."""
     cell = compose_cells(["experiment=le2021_pole"])[0]
     found = catalogue.fitting_estimators(cell.scenario, cell.noise)
     fitting = {name for names in found.values() for name in names}
-    assert set(cell.estimators) == fitting - {"robust_ml"}
+    assert set(cell.estimators) == fitting
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from aoabench.engine.draws import Draws
 from aoabench.engine.tiles import estimate_tile
 from aoabench.errors import BadValue
 from aoabench.filters.access_nodes import AccessNodeEKF
+from aoabench.filters.belief import Belief
 from aoabench.filters.kalman import EKF, UKF
 from aoabench.filters.map_smoother import MAPSmoother
 from aoabench.filters.particle import ParticleFilter
@@ -21,7 +22,6 @@ from aoabench.maths.geometry import to_unit
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
-from aoabench.roles import Belief
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome, Reason
 from tests.helpers import Place
@@ -264,7 +264,8 @@ def test_squared_errors_agree_with_the_covariances(make, n):
 def test_steps_after_the_end_of_a_track_change_nothing(engine, rng):
     """NaN after the last step, as where tracks of different lengths are padded."""
     x, P = rng.normal(size=(2, 6, 3)), np.broadcast_to(np.eye(3), (2, 6, 3, 3)).copy()
-    belief = Belief(np.zeros((2, 3)), np.eye(3), *Walk().matrices(1))
+    F, Q = (each[None, None] for each in Walk().matrices(1))
+    belief = Belief(np.zeros((2, 3)), np.eye(3), F, Q)
     short = smoothed(x[:, :4].copy(), P[:, :4].copy(), belief, engine)
     x[0, 4:], P[0, 4:] = np.nan, np.nan
     whole = smoothed(x.copy(), P.copy(), belief, engine)

@@ -26,3 +26,4 @@ from .geometry import (
     rule_values,
 )
 from .readings import readings, readings_values
+from .robust import robust, robust_values

@@ -11,4 +11,6 @@ from .comparisons import boxes, errata, ranking, rejection
 from .fit import misfit
 from .geometry import fig2, fig3a, fig3b, fig3c, rule
 from .readings import readings
+from .robust import VARIANTS as robust_variants
+from .robust import robust
 from .timing import speed

@@ -85,17 +85,17 @@ def rejection(runs: Runs) -> pd.DataFrame:
     rows = []
     for m in METHODS:
         if m not in SCORED:
-            rows.append(_covered(m, error(fixes[m])))
+            rows.append(covered(m, error(fixes[m])))
             continue
         for coverage in np.round(np.arange(0.1, 1.01, 0.05), 2):
-            rows.append(_covered(m, thresholded(fixes[m], coverage)))
+            rows.append(covered(m, thresholded(fixes[m], coverage)))
     for kind in ("boxes", "exact"):
         for r, f in filters(fixes, kind).items():
-            rows.append(_covered(f"df {kind}", error(f), r))
+            rows.append(covered(f"df {kind}", error(f), r))
     return pd.DataFrame(rows)
 
 
-def _covered(method: str, e: np.ndarray, r_sigma: float = np.nan) -> dict[str, Any]:
+def covered(method: str, e: np.ndarray, r_sigma: float = np.nan) -> dict[str, Any]:
     """A row of `rejection` from errors (R, T), NaN where the method rejects."""
     shares = columns(coverage=statistics.mean(np.isfinite(e).mean(axis=1)), within_1m=within(e))
     return {

@@ -19,6 +19,7 @@ OTHERS = {  # not in the paper
     "ls_lines": "lines, least squares",
     "ls_anchor_discarding": "lines, anchors discarded",
     "vmf_ml": "ML, unit vectors",
+    "robust_ml": "ML, Student's loss",
 }
 STYLES = {
     "ls": {"color": GREY, "marker": "v", "ls": "-."},
@@ -28,6 +29,7 @@ STYLES = {
     "ls_lines": {"color": "#56B4E9", "marker": "<", "ls": "-."},
     "ls_anchor_discarding": {"color": "#CC79A7", "marker": ">", "ls": ":"},
     "vmf_ml": {"color": "#009E73", "marker": "^", "ls": "-"},
+    "robust_ml": {"color": "black", "marker": "x", "ls": "--"},
 }
 SIGMA = "deviation of the angles [deg]"
 
