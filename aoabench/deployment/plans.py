@@ -10,4 +10,4 @@ from aoabench.maths.geometry import Array
 
 def walls(path: str) -> Array:
     """Walls (W, 2, 2) m of a file; raises BadValue for a file that is none."""
-    return plan.read_walls("--plan", Path(path))[0]
+    return plan.read_plan("--plan", Path(path)).walls
