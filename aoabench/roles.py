@@ -225,11 +225,13 @@ class Estimator(CheckedParams):
     other replications than it stores. An estimator that needs `truth` is called with the
     true states (R, T, n) as a fourth argument; such an estimator cannot run on a device.
     heard_only: whether it takes batches of the anchors heard alone (see `Batch`): K is then B.
+    causal: whether the estimate of a step uses no later measurements, as live positioning requires.
     """
 
     tile: int | None = None
     by_replication: bool = False
     heard_only: bool = False
+    causal: bool = True
 
     @property
     def needs(self) -> frozenset[str]:
