@@ -1,8 +1,8 @@
 """aoabench: the Monte Carlo simulation-and-benchmark framework for angle-of-arrival (AoA)
 positioning.
 
-`run` simulates, `load` reads the tables of a run, `compare` compares its estimators. Everything
-else is imported from its module.
+`run` simulates, `load` reads the tables of a run, `compare` compares its estimators, `locate` gives
+the positions of the tags in a recording. Everything else is imported from its module.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ __all__ = [
     "UserError",
     "compare",
     "load",
+    "locate",
     "run",
 ]
 
@@ -75,6 +76,32 @@ def run(
     return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
         drop=True
     )
+
+
+def locate(
+    log: str | os.PathLike[str],
+    anchors: str | os.PathLike[str],
+    *settings: str,
+    format: str | None = None,
+    estimator: str | None = None,
+    filter: str | None = None,
+    truth: str | os.PathLike[str] | None = None,
+    max_sigma_m: float | None = None,
+) -> pd.DataFrame:
+    """Return the fixes of all tags in a device's log, a row for each fix of each tag.
+
+    The arguments are those of `aoabench locate`: `locate("capture.log", "anchors.csv",
+    "scenario.window_s=0.1", filter="ekf_vmf")`; see `deployment.fixes.COLUMNS` for the columns.
+    Raises UserError for a mistake in the input.
+    """
+    from aoabench.deployment import located
+    from aoabench.deployment.request import Request
+    from aoabench.engine.faults import explained
+
+    files = (os.fspath(log), os.fspath(anchors), None if truth is None else os.fspath(truth))
+    with explained():
+        request = Request(files[0], files[1], format, estimator, filter, files[2], settings)
+        return located.locate(request.asked(), max_sigma_m).frame
 
 
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:

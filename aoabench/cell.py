@@ -149,6 +149,11 @@ class Cell:
     plugins: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # lines to print for the user
 
+    @property
+    def steps(self) -> bool:
+        """Whether the run stores steps: if asked to, and always those of a recording."""
+        return self.runner.steps or self.scenario.tracks is not None
+
     @cached_property
     def id(self) -> str:
         """Short name of the cell, from scenario, noise, seed and changed parameters; further

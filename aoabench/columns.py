@@ -32,6 +32,7 @@ REPLICATIONS = {
     "n_unmeasured": "int64",  # fixes without an azimuth, elevation or delay of any anchor
     "n_imprecise": "int64",  # see Inputs.imprecise
     "reason": "string",  # the commonest of the fixes that are not ok
+    "tag": "string",  # of the recorded track, null where simulated or unknown
 }
 
 
@@ -50,7 +51,7 @@ STEPS = {
     "error_xy_m": "double",
     "error_z_m": "double",
     "outcome": "string",
-    "tag": "string",  # as recorded, null where simulated
+    "tag": "string",  # as recorded, null where simulated or unknown
     "time_s": "double",
     "fix": "string",  # as recorded, null where simulated
     "reason": "string",

@@ -12,16 +12,17 @@ import hashlib
 import importlib.util
 import sys
 import sysconfig
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType, NoneType
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
+_T = TypeVar("_T")
 _LIBRARIES = ("site-packages", "dist-packages")
 _STANDARD = tuple(Path(p) for n in ("stdlib", "platstdlib") if (p := sysconfig.get_path(n)))
 
@@ -60,6 +61,7 @@ class Source:
 _sources: dict[str, Source] = {}  # as recorded at the import
 _read_later: WeakKeyDictionary[ModuleType, Source] = WeakKeyDictionary()
 _being_read: ContextVar[dict[Path, tuple[bytes, DataFile]]] = ContextVar("being_read")
+_made: ContextVar[dict[object, Any]] = ContextVar("made")
 _watched = {"aoabench"}  # packages that are recorded even if they are installed libraries
 
 
@@ -78,15 +80,25 @@ def read(path: Path) -> tuple[bytes, DataFile]:
     return before[place]
 
 
+def once(key: Hashable, make: Callable[[], _T]) -> _T:
+    """The value of `make()`; within `reading`, made once for each key."""
+    before = _made.get({})
+    if key not in before:
+        before[key] = make()
+    found: _T = before[key]
+    return found
+
+
 @contextmanager
 def reading() -> Iterator[Callable[[], tuple[DataFile, ...]]]:
     """Yield a function that returns the records of all data files read in this context."""
     found: dict[Path, tuple[bytes, DataFile]] = {}
-    token = _being_read.set(found)
+    token, made = _being_read.set(found), _made.set({})
     try:
         yield lambda: tuple(file for _, file in found.values())
     finally:
         _being_read.reset(token)
+        _made.reset(made)
 
 
 def watch(packages: Iterable[str]) -> None:

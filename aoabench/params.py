@@ -62,6 +62,8 @@ class Param:
             return
         if any(isinstance(value, type(one)) and value == one for one in self.also):
             return
+        if isinstance(value, str) and self.shape and "str" in annotation.split(" | "):
+            return check_text(key, value)
         try:
             self.check_of(annotation)(key, value)
         except BadValue as error:

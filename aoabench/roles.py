@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,22 +35,32 @@ NEEDS = {
 class Motion(CheckedParams):
     """A linear motion model x_k = F x_{k-1} + w, w ~ N(0, Q)."""
 
-    def matrices(self, dt: float) -> tuple[Array, Array]:
-        """F (n, n) and Q (n, n) for a step of dt s."""
+    def matrices(self, dt: float | Array) -> tuple[Array, Array]:
+        """F and Q (..., n, n) for steps of dt (...) s; an axis has the length 1 where F or Q are
+        the same for all steps.
+        """
         raise NotImplementedError
+
+    def start(self) -> Array:
+        """Standard deviations (n - 3,) of the state's components after the position, whose means
+        are 0, where a recorded track starts.
+        """
+        return np.ones(np.shape(self.matrices(1.0)[0])[-1] - 3)
 
 
 class Scenario(CheckedParams):
     """Positions of the anchors and movement of the target.
 
-    name: key of the random streams. dt: time step in s. motion: the motion model of the filters,
-    None where each fix is independent. shares_positions: whether all replications have the same
+    name: key of the random streams. dt: time step in s. start_s: time of the prior in s; None: that
+    of a track's first step. motion: the motion model of the filters, None where each fix is
+    independent. shares_positions: whether all replications have the same
     true positions. replications: number of replications, None for any number. least_heard: share
     of the steps with a measurement below which a run prints a warning.
     """
 
     name: str
     dt: float = 1.0
+    start_s: float | None = 0.0
     motion: Motion | None = None
     shares_positions: bool = False
     replications: int | None = None
@@ -69,8 +78,12 @@ class Scenario(CheckedParams):
 
     @property
     def tracks(self) -> Tracks | None:
-        """Recorded tracks, of which each is a replication, or None."""
-        return None
+        """Recorded tracks, of which each is a replication, or None; one track if `recorded` has
+        measurements.
+        """
+        if self.recorded is None:
+            return None
+        return Tracks.single(self.truth(np.random.default_rng(0))[:, :3], self.recorded)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -121,10 +134,11 @@ class Scenario(CheckedParams):
         found = {"motion", "prior"} if self.motion is not None else set()
         found |= {"height"} if self.known_height_m is not None else set()
         found |= {"several_anchors"} if self.true_anchors.count > 1 else set()
-        if self.recorded is None:
+        tracks = self.tracks
+        if tracks is None:
             return frozenset(found | {"truth"})
-        known = bool(np.isfinite(self.truth(np.random.default_rng(0))[:, :2]).any())
-        return frozenset(found | ({"truth"} if known else set()) | self.recorded.offers())
+        known = bool(np.isfinite(tracks.truth[:, :2]).any())
+        return frozenset(found | ({"truth"} if known else set()) | tracks.measured.offers())
 
 
 class Noise(CheckedParams):
@@ -275,21 +289,3 @@ class Filter(Estimator):
     @property
     def needs(self) -> frozenset[str]:
         return frozenset({"motion", "prior"}) | self.measurement.needs
-
-
-class Belief(NamedTuple):
-    """Prior of a filter before the first step, and its motion model x_k = F x_{k-1} + N(0, Q)."""
-
-    mean: Array  # (R, n)
-    covariance: Array  # (n, n)
-    F: Array  # (n, n)
-    Q: Array  # (n, n)
-
-
-def believed(batch: Batch, scenario: Scenario) -> Belief:
-    """Return the prior of the batch and the motion of the scenario; raises BadValue if one is
-    missing.
-    """
-    if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
-        raise BadValue("scenario", type(scenario).__name__, "one with a motion model and a prior")
-    return Belief(batch.prior_mean, batch.prior_cov, *scenario.motion.matrices(scenario.dt))

@@ -8,9 +8,10 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, JulierSigmaPoints, UnscentedKalmanFilter
 from filterpy.monte_carlo import systematic_resample
 
+from aoabench.filters.belief import believed
 from aoabench.maths.geometry import Array, in_frames, to_azel, wrap
 from aoabench.models.azel import AzEl
-from aoabench.roles import Scenario, believed
+from aoabench.roles import Scenario
 from aoabench.types import Batch
 
 
@@ -23,7 +24,7 @@ class FilterPy:
     def __init__(self, scenario: Scenario, batch: Batch, sigma: float, particles: int) -> None:
         belief = believed(batch, scenario)
         T, B = batch.azimuth.shape[1:]
-        self.F, self.Q = belief.F, belief.Q
+        self.F, self.Q = belief.at(0)
         self.measured = np.stack([batch.azimuth[0], batch.elevation[0]], axis=-1).reshape(T, 2 * B)
         self.dt, self.sigma, self.R = scenario.dt, sigma, sigma**2 * np.eye(2 * B)
         self.mean, self.cov = belief.mean[0], np.asarray(belief.covariance)

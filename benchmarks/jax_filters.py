@@ -19,8 +19,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from aoabench.filters.belief import believed
 from aoabench.maths.geometry import Array
-from aoabench.roles import Scenario, believed
+from aoabench.roles import Scenario
 from aoabench.types import Batch
 
 jax.config.update("jax_enable_x64", True)
@@ -42,7 +43,7 @@ class Jax:
         y = np.stack([batch.azimuth[0], batch.elevation[0]], axis=-1).reshape(T, 2 * B)
         place, turn = (jnp.asarray(a[0]) for a in batch.anchors.frames)
         mean, cov, F, Q = (
-            jnp.asarray(a) for a in (belief.mean[0], belief.covariance, belief.F, belief.Q)
+            jnp.asarray(a) for a in (belief.mean[0], belief.covariance, *belief.at(0))
         )
 
         def seen(x: Value) -> Value:

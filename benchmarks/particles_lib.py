@@ -11,8 +11,9 @@ import particles
 from particles import distributions, state_space_models
 from particles.collectors import Moments
 
+from aoabench.filters.belief import believed
 from aoabench.maths.geometry import Array, in_frames, to_azel, wrap
-from aoabench.roles import Scenario, believed
+from aoabench.roles import Scenario
 from aoabench.types import Batch
 
 
@@ -25,7 +26,7 @@ class Particles:
         self.model = _Track(
             mean=belief.mean[0],
             cov=np.asarray(belief.covariance),
-            root=np.sqrt(np.diag(belief.Q)),
+            root=np.sqrt(np.diag(belief.at(0)[1])),
             anchors=batch.anchors,
             sigma=sigma,
         )

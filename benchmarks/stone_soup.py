@@ -26,8 +26,9 @@ from stonesoup.types.state import GaussianState, ParticleState
 from stonesoup.updater.kalman import ExtendedKalmanUpdater, UnscentedKalmanUpdater
 from stonesoup.updater.particle import ParticleUpdater
 
+from aoabench.filters.belief import believed
 from aoabench.maths.geometry import Array
-from aoabench.roles import Scenario, believed
+from aoabench.roles import Scenario
 from aoabench.types import Batch
 
 START = datetime(2018, 1, 1)
@@ -44,7 +45,7 @@ class StoneSoup:
         anchors = zip(*(part[0] for part in batch.anchors.frames))
         self.models = [_seen_from(s, R, sigma) for s, R in anchors]
         self.together = CombinedReversibleGaussianMeasurementModel(self.models)
-        walks = [RandomWalk(q) for q in np.diag(belief.Q) / scenario.dt]
+        walks = [RandomWalk(q) for q in np.diag(belief.at(0)[1]) / scenario.dt]
         self.motion = CombinedLinearGaussianTransitionModel(walks)
         self.times = [START + timedelta(seconds=(k + 1) * scenario.dt) for k in range(self.steps)]
 

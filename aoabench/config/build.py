@@ -12,10 +12,11 @@ from typing import Any
 
 from aoabench.cell import Cell, RunnerOptions, Until
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
-from aoabench.config.fit import check_fit
+from aoabench.config.fit import those_that_fit
 from aoabench.config.heard import remark, share_heard
 from aoabench.config.plugins import construct, import_plugins
 from aoabench.config.presets import options
+from aoabench.config.recording import as_recorded
 from aoabench.errors import BadValue, UserError, check_number, did_you_mean
 from aoabench.roles import Estimator, Scenario
 
@@ -71,13 +72,13 @@ class Builder:
         if "reps" not in typed:
             check_number("reps", plain["reps"], least=1, most=_MOST_REPS, integer=True)
         scenario = self._object(plain["scenario"], "scenario", as_scenario)
-        plain, choices, notes = _as_recorded(plain, choices, scenario, keys)
+        plain, choices, notes = as_recorded(plain, choices, scenario, keys)
         noise = self._object(plain["noise"], "noise", as_noise)
         estimators = self._estimators(plain, choices.get("experiment"))
         estimators |= _extra(plain, self.extra)
         notes += self._heard(scenario, plain["seed"])
-        check_fit(estimators, scenario, noise, choices)
-        groups = ("scenario", "noise", "filter", "estimator")
+        estimators, left_out = those_that_fit(estimators, scenario, noise, choices, keys)
+        notes += left_out
         return Cell(
             scenario_name=choices["scenario"],
             noise_name=choices["noise"],
@@ -87,7 +88,7 @@ class Builder:
             seed=plain["seed"],
             reps=plain["reps"],
             runner=runner,
-            config={group: plain.get(group) or None for group in groups} | {"seed": plain["seed"]},
+            config=_config(plain, estimators),
             changed=dict(changed or {}),
             swept=tuple(key for key in keys if "." in key),
             experiment=choices.get("experiment"),
@@ -147,6 +148,15 @@ class Builder:
         return found
 
 
+def _config(plain: Mapping[str, Any], estimators: Mapping[str, Estimator]) -> dict[str, Any]:
+    """The config of a cell, without the presets of estimators that do not run."""
+    found = {group: plain[group] or None for group in ("scenario", "noise")}
+    for group in ("filter", "estimator"):
+        nodes = (plain.get(group) or {}).items()
+        found[group] = {n: node for n, node in nodes if f"{group}.{n}" in estimators} or None
+    return found | {"seed": plain["seed"]}
+
+
 def _names_class_of(plugins: Sequence[str], node: Any) -> bool:
     """Whether a node, or one inside it, names a class that is not shipped."""
     if not plugins:
@@ -180,27 +190,6 @@ def _check_top_level(
                 f"{group}={choices.get(group)}: exactly one preset is needed; "
                 f"allowed: {', '.join(options(group))}"
             )
-
-
-def _as_recorded(
-    plain: Mapping[str, Any],
-    choices: Mapping[str, Any],
-    scenario: Scenario,
-    keys: Sequence[str],
-) -> tuple[Mapping[str, Any], Mapping[str, Any], tuple[str, ...]]:
-    """The config, choices and notes of a job; for a recording, its noise is the recording and its
-    replications are at most those of the recording.
-    """
-    if scenario.recorded is None:
-        return plain, choices, scenario.notes
-    notes = [*scenario.notes]
-    if any(key.split(".")[0] == "noise" for key in keys):
-        notes.append("noise is not used: scenario.path has the measurements")
-    reps = min(plain["reps"], scenario.replications or plain["reps"])
-    if reps < plain["reps"] and "reps" in keys:
-        notes.append(f"reps={plain['reps']} is taken as {reps}: a recording is one replication")
-    node = {"_target_": "aoabench.noise.recorded.Recorded"}
-    return {**plain, "noise": node, "reps": reps}, {**choices, "noise": "recorded"}, tuple(notes)
 
 
 def _extra(plain: Mapping[str, Any], extra: Mapping[str, Any]) -> dict[str, Estimator]:

@@ -39,8 +39,9 @@ def share_heard(scenario: Scenario, seed: int) -> tuple[float, bool] | None:
     """The share of the steps at which an anchor measures, and whether it is the same in all
     replications; None for a scenario in which all anchors measure at all steps.
     """
-    recorded = scenario.recorded
-    if recorded is not None:
+    tracks = scenario.tracks
+    if tracks is not None:
+        recorded = tracks.measured
         measured = [np.isfinite(recorded.azimuth), np.isfinite(recorded.elevation)]
         measured += [] if recorded.delay is None else [np.isfinite(recorded.delay)]
         return float(np.any(measured, axis=(0, 2)).mean()), True

@@ -1,24 +1,31 @@
 """Anchors as a table: one schema for every scenario that reads a file of anchors.
 
-    x_m, y_m                              m, required
+    x_m, y_m                              m; or lat_deg, lon_deg, in deg on WGS84
     id                                    a text, each once; without the column 1, 2, 3, ...
-    z_m                                   m; without the column 0
+    z_m                                   m; without the column 0; with degrees also height_m
     facing_deg, pitch_deg, roll_deg       deg; without the column 0
+    clock_offset_s                        s that the anchor's clock is ahead; without the column 0
 
 Rz(facing) Ry(pitch) Rx(roll) turns the global axes into the anchor's. With facing alone, local x
 points along the facing direction, y horizontally left of it, z up. Facing counts counter-clockwise
-from the global +x; pitch > 0 tilts local x down.
+from the global +x; pitch > 0 tilts local x down. With degrees, +x is east, +y north, and heights
+count from the ellipsoid at the origin (`devices.geodesy`).
+
+A positioning_config.json of Silicon Labs is read too (`devices.locators`).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from aoabench.devices.columns import header, shown_columns
+from aoabench.devices.geodesy import Origin, check_degrees, degree_columns
+from aoabench.devices.locators import read_locators
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, did_you_mean
 from aoabench.maths.geometry import Array, euler
@@ -26,12 +33,15 @@ from aoabench.types import Anchors
 
 REQUIRED = ("x_m", "y_m")
 ANGLES = ("facing_deg", "pitch_deg", "roll_deg")
-COLUMNS = ("id", *REQUIRED, "z_m", *ANGLES)
+DEGREES = ("lat_deg", "lon_deg", "height_m")
+COLUMNS = ("id", *REQUIRED, "z_m", *ANGLES, "clock_offset_s")
 SCHEMA = (
     "a CSV or Parquet file of anchors with the columns x_m, y_m and, where needed, "
-    "id (else 1, 2, ...), z_m, facing_deg, pitch_deg, roll_deg (else 0), each once"
+    "id (else 1, 2, ...), z_m, facing_deg, pitch_deg, roll_deg, clock_offset_s (else 0), each "
+    "once; or lat_deg, lon_deg in place of x_m, y_m"
 )
 MOST_DEG = 360.0
+_COMPASS = " (90 deg - a compass bearing)"
 # what people call an optional column; such a column is never left out in silence
 _OTHER_WORDS = {
     "z_m": ("z", "height", "altitude"),
@@ -45,6 +55,10 @@ class AnchorsFile(NamedTuple):
     """A file's content: ids, anchors (1, 1, B, ...), the direction (B,) rad that each faces, seen
     from above, None if the file states none, remarks to print, and whether the ids are the numbers
     of the rows, because the file states none.
+
+    clock_offset_s (B,): how far each anchor's clock is ahead, in s, or None. origin: that of the
+    local coordinates, None where it is unknown; assumed: whether it is the anchors' centroid,
+    because none is declared.
     """
 
     ids: list[str]
@@ -52,30 +66,66 @@ class AnchorsFile(NamedTuple):
     facing: Array | None
     notes: tuple[str, ...]
     numbered: bool = False
+    clock_offset_s: Array | None = None
+    origin: Origin | None = None
+    assumed: bool = False
+
+    def check_local(self, why: str) -> None:
+        """Raise BadValue if local coordinates, which `why` names, have an origin that nobody
+        declares, because the anchors are in degrees.
+        """
+        if self.assumed:
+            allowed = (
+                f"latitude and longitude of the local (0, 0), because {why} and the anchors are "
+                f"in degrees; the anchors' centroid: {self.origin}"
+            )
+            raise BadValue("origin_deg", None, allowed)
 
 
-def read_anchors(key: str, path: str) -> AnchorsFile:
-    """The anchors of a CSV or Parquet file in the columns above; other columns are not read.
+def read_anchors(key: str, path: str, origin: Origin | None = None) -> AnchorsFile:
+    """The anchors of a CSV or Parquet file in the columns above, or of a positioning_config.json;
+    other columns are not read.
 
-    Raises BadValue for a missing or repeated column, for a column that looks like a misspelt one,
-    for cells that are not numbers, and for angles beyond +-360 deg.
+    Degrees are converted to local coordinates at `origin`, or at the anchors' centroid. Raises
+    BadValue for a missing or repeated column, for a column that looks like a misspelt one, for
+    cells that are not numbers, and for angles beyond +-360 deg.
     """
+    if Path(path).suffix.lower() == ".json":
+        return AnchorsFile(*read_locators(key, path), origin=origin)
     present = header(key, path)
-    _check_columns(key, path, present)
-    table = Table.read(key, path, {name: name for name in COLUMNS if name in present})
+    named = _columns(key, path, present)
+    table = Table.read(key, path, named)
     n = len(table.frame)
-    ids = _ids(table) if "id" in present else [str(i + 1) for i in range(n)]
-    x, y, z, *turns = (
-        table.numbers(name, empty=False) if name in present else np.zeros(n) for name in COLUMNS[1:]
-    )
+    ids = _ids(table) if "id" in named else [str(i + 1) for i in range(n)]
+
+    def numbers(name: str) -> Array:
+        return table.numbers(name, empty=False) if name in named else np.zeros(n)
+
+    turns = [numbers(name) for name in ANGLES]
     for name, turn in zip(ANGLES, turns):
-        if name in present:
+        if name in named:
             table.check(name, np.abs(turn) > MOST_DEG, f"{name} within +-{MOST_DEG:g} deg")
     facing, pitch, roll = np.deg2rad(turns)
-    found = Anchors(np.stack([x, y, z], axis=-1), _rotations(facing, pitch, roll))
-    known = facing if "facing_deg" in present else None
-    notes = (*_doubts(path, turns[0]), *_high(path, x, y, z))
-    return AnchorsFile(ids, found, known, notes, "id" not in present)
+    places = [numbers(name) for name in (DEGREES if "lat_deg" in named else (*REQUIRED, "z_m"))]
+    assumed = "lat_deg" in named and origin is None
+    notes: list[str] = []
+    if assumed:
+        origin = Origin.amid(*places[:2])
+        line = f"x counts east, y north of scenario.origin_deg={origin}, the anchors' centroid"
+        notes = [f"{path}: {line}"]
+    if "lat_deg" in named and origin is not None:
+        check_degrees(key, path, places[0], places[1], origin)
+        places = list(origin.local(*places).T)
+    return AnchorsFile(
+        ids,
+        Anchors(np.stack(places, axis=-1), _rotations(facing, pitch, roll)),
+        facing if "facing_deg" in named else None,
+        (*notes, *_doubts(path, turns[0]), *_high(path, *places)),
+        "id" not in named,
+        numbers("clock_offset_s") if "clock_offset_s" in named else None,
+        origin,
+        assumed,
+    )
 
 
 def _rotations(facing: Array, pitch: Array, roll: Array) -> Array:
@@ -89,19 +139,36 @@ def _rotations(facing: Array, pitch: Array, roll: Array) -> Array:
     return found
 
 
-def _check_columns(key: str, path: str, present: Sequence[str]) -> None:
-    """Raise BadValue for columns that are missing, repeated or nearly called as in the schema."""
+def _columns(key: str, path: str, present: Sequence[str]) -> dict[str, str]:
+    """The columns to read, ours mapped to the file's; raises BadValue for columns that are missing,
+    repeated or nearly called as in the schema.
+    """
+    degrees = None if "x_m" in present or "y_m" in present else degree_columns(present)
+    required = REQUIRED if degrees is None else ()
     for name in COLUMNS:
-        if present.count(name) > 1 or (name in REQUIRED and name not in present):
+        if present.count(name) > 1 or (name in required and name not in present):
             hint = _hint(name, [one for one in present if one not in COLUMNS])
             raise BadValue(key, path, f"{SCHEMA}; it has {shown_columns(present)}{hint}")
+    named = {name: name for name in COLUMNS if name in present}
+    if degrees is not None:
+        if "z_m" in present and degrees[2] != "z_m":
+            raise BadValue(key, path, f"one column of heights; it has {degrees[2]} and z_m")
+        known = {ours: theirs for ours, theirs in zip(DEGREES, degrees) if theirs is not None}
+        named = {name: one for name, one in named.items() if name != "z_m"} | known
+    _check_similar(key, path, present, named)
+    return named
+
+
+def _check_similar(key: str, path: str, present: Sequence[str], named: Mapping[str, str]) -> None:
+    """Raise BadValue for a column that is not read and nearly called as in the schema."""
     for column in present:
         word = re.split(r"[ _(\[]", column.strip().lower())[0]
         for name, words in _OTHER_WORDS.items():
-            if name not in present and word in words:
+            if name not in named and column not in named.values() and word in words:
+                compass = word in ("heading", "bearing")
                 allowed = (
                     f"{SCHEMA}; it has {column!r}, which is not read: "
-                    f"call it {name} if it is that, or else by another word"
+                    f"call it {name} if it is that{_COMPASS * compass}, or else by another word"
                 )
                 raise BadValue(key, path, allowed)
 
@@ -109,7 +176,7 @@ def _check_columns(key: str, path: str, present: Sequence[str]) -> None:
 def _hint(name: str, others: Sequence[str]) -> str:
     """What may be wrong with a file that lacks the column `name` but has `others`."""
     if any(one.lower().startswith(("lat", "lon", "lng")) for one in others):
-        return "; degrees of latitude and longitude are not supported yet: convert them to local m"
+        return "; degrees have the columns lat_deg and lon_deg, both of them"
     if any(mark in one for one in others for mark in ";\t"):
         return "; cells are separated by commas"
     return did_you_mean(name, others)

@@ -17,6 +17,7 @@ from aoabench.maths.geometry import Array
 SAME_SIZE = 4.0
 APART = 0.25  # walls further from the rest, in spans of the larger one, belong to another place
 FAR_M, FAR_SPANS = 1000.0, 20.0  # anchors further from the target than both do not belong to it
+GUESSED = ("m", "cm", "mm")  # units that walls in another one are taken to be in
 DEGREES = 1e-2  # anchors that span less than this, and not 0, may be longitudes and latitudes
 
 
@@ -77,14 +78,14 @@ def check_walls(
 ) -> None:
     """Raise BadValue for walls in another unit or in another place than anchors and target.
 
-    `units` are the known units in m, `unit` the declared one, None for m. `sights`: whether all
-    lines of sight lie within the box of anchors and target. If m is declared, units are taken as
-    given.
+    `units` are the known units in m, `unit` that of the walls, None for m by default. `sights`:
+    whether all lines of sight lie within the box of anchors and target. If m is declared, units are
+    taken as given.
     """
     box, rest = Box.around(walls.points), Box.around(anchors.points, target.points)
     names = f"{anchors.words} and {target.words}"
     spans = f"walls span {box.span:.6g} m, {names} {rest.span:.6g} m"
-    others = [] if unit == "m" else [one for one in units if one != (unit or "m")]
+    others = [] if unit == "m" else [one for one in GUESSED if one != (unit or "m")]
     for other in others:
         factor = units[other] / units[unit or "m"]
         if box.scaled(factor).fits(rest):
@@ -126,5 +127,6 @@ def check_anchors(anchors: Thing, target: Thing, walls: Thing | None = None) -> 
         allowed = f"{anchors.words} and {target.words} in the same coordinates; {both}"
         raise BadValue(anchors.key, anchors.value, allowed)
     if 0 < box.span < DEGREES and way.span > 1000 * box.span and box.gap(way) > 0:
-        allowed = f"coordinates in m, perhaps these are degrees; {both}"
+        hint = "perhaps these are degrees: call the columns lat_deg and lon_deg"
+        allowed = f"coordinates in m, {hint}; {both}"
         raise BadValue(anchors.key, anchors.value, allowed)

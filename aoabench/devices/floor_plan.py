@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from aoabench.devices import plan
 from aoabench.devices.anchors import AnchorsFile, read_anchors
+from aoabench.devices.drawing import UNITS
 from aoabench.devices.extent import Box, Thing, check_anchors, check_walls
+from aoabench.devices.plan import Frame, Plan, read_plan
 from aoabench.devices.sight import faces_along, in_sight, on_walls
 from aoabench.errors import BadValue, listed
 from aoabench.maths.geometry import Array
@@ -18,29 +19,38 @@ from aoabench.maths.geometry import Array
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """The content of the files: anchors; walls (W, 2, 2) m and visited area in m^2, each or None.
-
-    `unit` is the declared unit of the walls, or None.
-    """
+    """The content of the files: anchors, and the plan of walls or None."""
 
     known: AnchorsFile
-    walls: Array | None
-    area_m2: float | None
-    unit: str | None
+    plan: Plan | None
 
     @classmethod
-    def read(cls, files: Sequence[Path], unit: str | None, crs: str | None) -> FloorPlan:
-        """The plan in the files of anchors and, as a second one, of walls.
+    def read(cls, files: Sequence[Path], frame: Frame | None = None) -> FloorPlan:
+        """The plan in the files of anchors and, as a second one, of walls, whose coordinates
+        `frame` declares.
 
-        Raises BadValue, with the keys `anchors`, `walls` and `walls_crs`, for mistakes.
+        Without an origin in `frame`, the centroid of anchors in degrees is the origin. Raises
+        BadValue, with the keys `anchors`, `walls`, `walls_crs`, `walls_unit` and `origin_deg`, for
+        mistakes.
         """
-        if crs == "wgs84":
-            raise BadValue("walls_crs", crs, "local, or null; degrees are not supported yet")
-        known = read_anchors("anchors", str(files[0]))
+        frame = frame or Frame()
+        known = read_anchors("anchors", str(files[0]), frame.origin)
         if len(files) == 1:
-            return cls(known, None, None, unit)
-        walls, area = plan.read_walls("walls", files[1], unit, crs == "local")
-        return cls(known, walls, area, unit)
+            return cls(known, None)
+        walls = read_plan("walls", files[1], frame._replace(origin=known.origin))
+        if not walls.geodetic:
+            known.check_local(f"{files[1].name} has local coordinates")
+        return cls(known, walls)
+
+    @property
+    def walls(self) -> Array | None:
+        """Walls (W, 2, 2) m, or None."""
+        return None if self.plan is None else self.plan.walls
+
+    @property
+    def area_m2(self) -> float | None:
+        """The visited area in m^2, or None."""
+        return None if self.plan is None else self.plan.area_m2
 
     @property
     def position(self) -> Array:
@@ -56,13 +66,13 @@ class FloorPlan:
         """
         nodes = Thing("access nodes", "anchors", names[0], self.position)
         target = Thing("the route", "route", route.tolist(), route)
-        if self.walls is None:
+        if self.plan is None:
             check_anchors(nodes, target)
             return
-        walls = Thing("walls", "walls", names[1], self.walls)
+        walls = Thing("walls", "walls", names[1], self.plan.walls)
         check_anchors(nodes, target, walls)
-        check_walls(walls, nodes, target, plan.UNITS, self.unit, sights=not wanders)
-        if self.known.facing is None and on_walls(self.position, self.walls).any():
+        check_walls(walls, nodes, target, UNITS, self.plan.unit, sights=not wanders)
+        if self.known.facing is None and on_walls(self.position, self.plan.walls).any():
             allowed = (
                 "a file with the column facing_deg, because access nodes stand on walls: "
                 "they see into the side that they face"
@@ -98,23 +108,38 @@ class FloorPlan:
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks to print."""
-        if self.walls is None:
+        if self.plan is None:
             return self.known.notes
-        box, flat = Box.around(self.walls), self.position[:, :2]
+        box, flat = Box.around(self.plan.walls), self.position[:, :2]
         outside = ((flat < box.low) | (flat > box.high)).any(axis=1)
-        outside &= ~on_walls(flat, self.walls).any(axis=1)
-        found = [*self.known.notes]
+        outside &= ~on_walls(flat, self.plan.walls).any(axis=1)
+        found = [*self.known.notes, *self.plan.notes]
         if outside.any():
             line = (
                 f"outside the walls, which lie within {box} m; are x_m and y_m those of the plan?"
             )
             found.append(f"access nodes {self._ids(np.flatnonzero(outside))} stand {line}")
         if self.known.facing is not None:
-            both = faces_along(self.position, self.walls, self.known.facing)
+            both = faces_along(self.position, self.plan.walls, self.known.facing)
             line = "stand on a wall and face along it, so they see both sides"
             if both:
                 found.append(f"access nodes {self._ids(both)} {line}; facing_deg decides the side")
         return tuple(found)
+
+    def crossings(self, path: Array) -> tuple[str, ...]:
+        """A remark on the walls that a path (N, 2) m goes through, if any."""
+        import shapely
+
+        if self.plan is None or len(path) < 2:
+            return ()
+        way, walls = shapely.LineString(path), shapely.linestrings(self.plan.walls)
+        through = walls[shapely.STRtree(walls).query(way, predicate="crosses")]
+        if not len(through):
+            return ()
+        places = shapely.points(shapely.get_coordinates(shapely.intersection(through, way)))
+        first = places[int(np.argmin(shapely.line_locate_point(way, places)))]
+        where = f"{len(through)} walls, first near ({first.x:.4g}, {first.y:.4g})"
+        return (f"the route goes through {where}: walls hide access nodes, not the way",)
 
     def _ids(self, which: Sequence[int] | np.ndarray) -> str:
         """The ids of some anchors, at most ten of them."""

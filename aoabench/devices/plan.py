@@ -1,32 +1,64 @@
-"""Walls of floor plans from GeoJSON or CSV.
+"""Walls of floor plans from GeoJSON, CSV or DXF, as local coordinates in m.
 
-Local coordinates, in m or in a declared unit; degrees are refused. A file is looked for in the
-working folder first, then among the shipped plans. Every mistake in a file raises BadValue with the
-key, the file and the allowed content.
+A file is looked for in the working folder first, then among the shipped plans. Coordinates are
+local, in m or in a declared unit, or geodetic, where they are declared to be. Every mistake in a
+file raises BadValue with the key, the file and the allowed content.
 """
 
 from __future__ import annotations
 
-import csv
-import json
-import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from aoabench import loaded
+from aoabench.devices import dxf, geojson
+from aoabench.devices.doors import WIDTH_M, cut
+from aoabench.devices.drawing import UNITS, Drawing
+from aoabench.devices.geodesy import Origin, check_degrees, from_projected, names_wgs84
+from aoabench.devices.table import Table
 from aoabench.errors import BadValue, shorten
 from aoabench.maths.geometry import Array
 from aoabench.resources import shipped
 
 WALL_COLUMNS = ("x0_m", "y0_m", "x1_m", "y1_m")
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # in m
 LEAST_M = 1.0  # extent below which a plan within the range of degrees is not taken for one in m
+FORMS = "a file .geojson (or .json), .csv or .dxf"
+
+
+class Plan(NamedTuple):
+    """Walls (W, 2, 2) m, each from one point to another; the visited area in m^2 or None; remarks
+    to print; the unit that the coordinates were read in, None for m that nobody declared; whether
+    they were geodetic.
+    """
+
+    walls: Array
+    area_m2: float | None = None
+    notes: tuple[str, ...] = ()
+    unit: str | None = None
+    geodetic: bool = False
+
+
+class Frame(NamedTuple):
+    """How the coordinates of a plan are declared: the unit, None for m or as the file states; the
+    reference system (local, wgs84, or a name such as EPSG:25832), None for local or as the file
+    states; the origin of local coordinates, None where it is unknown; the layers (or kinds of
+    features) that are walls, None for all.
+    """
+
+    unit: str | None = None
+    crs: str | None = None
+    origin: Origin | None = None
+    layers: Sequence[str] | None = None
 
 
 def find(key: str, name: object) -> Path:
-    """Path of the file `name`: in the working folder, or else among the shipped plans."""
+    """Path of the file `name`: in the working folder, or else among the shipped plans.
+
+    Raises BadValue if there is none.
+    """
     plans = shipped("configs") / "plans"
     if isinstance(name, str) and name.strip() and "\0" not in name:
         for path in (Path(name), plans / name):
@@ -36,48 +68,139 @@ def find(key: str, name: object) -> Path:
     raise BadValue(key, name, f"an existing file; shipped: {known}")
 
 
-def read_walls(
-    key: str, path: Path, unit: str | None = None, local: bool = False
-) -> tuple[Array, float | None]:
-    """Walls (W, 2, 2) m, each from one point to another, and the visited area in m^2 or None.
+def read_plan(key: str, path: Path, frame: Frame | None = None) -> Plan:
+    """The walls of a file whose coordinates `frame` declares.
 
-    CSV has the columns x0_m, y0_m, x1_m, y1_m. GeoJSON is a FeatureCollection: walls are
-    (Multi)LineStrings of kind `wall` or without a kind; a Polygon of kind `visited` is the visited
-    area. `unit` is that of the coordinates, None for m; `local` whether the user declares them to
-    be local.
+    CSV has the columns x0_m, y0_m, x1_m, y1_m. `devices.geojson` and `devices.dxf` describe the
+    other forms. Doors are cut out of the walls.
 
-    Raises BadValue for coordinates that are, or look like, degrees and are not declared local, and
-    for a file that states another unit.
+    Raises BadValue for coordinates that are, or look like, degrees and are not declared, for
+    degrees without an origin, and for a file that states another unit.
     """
+    frame = frame or Frame()
+    drawing = _drawing(key, path, frame.layers)
+    if not len(drawing.segments):
+        doors = f"{len(drawing.doors)} doors" if drawing.doors else ""
+        content = ", ".join(filter(None, (doors, drawing.others)))
+        content = f"; it has {content}" if content else ""
+        raise BadValue(key, str(path), f"a file with at least one wall, or null for none{content}")
+    geodetic = _is_geodetic(key, path, drawing, frame)
+    unit = frame.unit
+    if unit is None and not geodetic and drawing.default_unit not in (None, "m"):
+        unit = drawing.default_unit
+    local = (_projected if geodetic else _scaled)(key, path, drawing, frame._replace(unit=unit))
+    walls, unused = cut(local.segments, local.doors)
+    area = sum(geojson.enclosed(rings) for rings in local.visited) if local.visited else None
+    lines = _notes(local, unused)
+    if unit != frame.unit:
+        lines.append(f"read in {unit}, as the drawing states")
+    elif drawing.default_unit not in (None, unit or "m"):
+        lines.append(
+            f"read in {unit or 'm'}, as declared; the drawing states {drawing.default_unit}"
+        )
+    return Plan(walls, area, tuple(f"{path.name}: {line}" for line in lines), unit, geodetic)
+
+
+def _notes(drawing: Drawing, unused: int) -> list[str]:
+    """Remarks on a drawing in m, of whose doors `unused` open no wall."""
+    found, doors = list(drawing.notes), drawing.doors
+    if doors:
+        wide = sum(len(door.points) == 1 and door.width_m is None for door in doors)
+        assumed = f"; {wide} of no stated width are {WIDTH_M:g} m wide" * bool(wide)
+        found.append(
+            f"{len(doors)} doors, {len(doors) - unused} of them cut out of the walls{assumed}"
+        )
+    if drawing.ignored:
+        found.append(f"no walls, left out: {drawing.others}")
+    return found
+
+
+def _drawing(key: str, path: Path, layers: Sequence[str] | None) -> Drawing:
+    """The content of a file, in its own coordinates."""
     kind = path.suffix.lower()
     if kind == ".csv":
-        segments, area = _table(key, path, WALL_COLUMNS).reshape(-1, 2, 2), None
-    elif kind in (".geojson", ".json"):
-        segments, area = _geojson(key, path, unit, local)
-    else:
-        raise BadValue(key, str(path), "a .csv or .geojson file")
-    segments = segments[(segments[:, 0] != segments[:, 1]).any(axis=-1)]
-    if not len(segments):
-        raise BadValue(key, str(path), "a file with at least one wall, or null for none")
-    if not local:
-        _check_degrees(key, path, segments)
-    scale = UNITS[unit or "m"]
-    return segments * scale, None if area is None else area * scale**2
+        table = Table.read(key, str(path), {name: name for name in _columns(key, path)})
+        ends = np.stack([table.numbers(name, empty=False) for name in WALL_COLUMNS], axis=-1)
+        return Drawing(list(ends.reshape(-1, 2, 2)))
+    try:
+        if kind in (".geojson", ".json"):
+            return geojson.read_drawing(_text(key, path), layers)
+        if kind == ".dxf":
+            return dxf.read_drawing(loaded.read(path)[0], layers)
+    except ValueError as error:
+        raise BadValue(key, str(path), str(error)) from None
+    raise BadValue(key, str(path), FORMS)
 
 
-def _check_degrees(key: str, path: Path, segments: Array) -> None:
-    """Raise BadValue for walls (W, 2, 2) that look like longitudes and latitudes."""
-    corners = segments.reshape(-1, 2)
-    extent = float((corners.max(axis=0) - corners.min(axis=0)).max())
-    if extent < LEAST_M and np.all(np.abs(corners) <= [180, 90]):
-        x, y = corners[0]
+# --- coordinates ----------------------------------------------------------------------------------
+
+
+def _is_geodetic(key: str, path: Path, drawing: Drawing, frame: Frame) -> bool:
+    """Whether the coordinates are to be converted with the origin; raises BadValue for those that
+    state, or seem to have, another system than declared.
+    """
+    if frame.crs is not None:
+        return frame.crs != "local"
+    points = drawing.segments.reshape(-1, 2)
+    stated = drawing.crs
+    if stated is not None:
+        if names_wgs84(stated) and bool(np.all(np.abs(points) <= [180, 90])):
+            return True
+        words = f"local coordinates; its crs is {shorten(repr(stated), 60)}"
         allowed = (
-            f"walls in m; these span {extent:.3g} near ({x:.6g}, {y:.6g}), which looks like "
-            "degrees of longitude and latitude: convert them to local m, or declare "
-            "scenario.walls_crs=local if the plan is that small "
-            "(walls_crs=wgs84 is not supported yet)"
+            f"{words}: scenario.walls_crs=local if x and y are lengths in a plane all the same, "
+            "or walls_crs=wgs84, or the system's name, such as EPSG:25832"
         )
         raise BadValue(key, str(path), allowed)
+    extent = float(np.ptp(points, axis=0).max())
+    if extent < LEAST_M and np.all(np.abs(points) <= [180, 90]):
+        x, y = points[0]
+        allowed = (
+            f"walls in m; these span {extent:.3g} near ({x:.6g}, {y:.6g}), which looks like "
+            "degrees of longitude and latitude: scenario.walls_crs=wgs84 if they are, or "
+            "scenario.walls_crs=local if the plan is that small"
+        )
+        raise BadValue(key, str(path), allowed)
+    return False
+
+
+def _scaled(key: str, path: Path, drawing: Drawing, frame: Frame) -> Drawing:
+    """The drawing in m; raises BadValue if the file states another unit than declared."""
+    unit, stated = frame.unit, drawing.unit
+    if stated is not None and stated != (unit or "m"):
+        known = stated in UNITS
+        wanted = f"scenario.walls_unit={stated}?" if known else "convert them to m"
+        given = f"its units is {shorten(repr(stated), 60)}"
+        allowed = f"local coordinates in {unit or 'm'}; {given}: {wanted}"
+        raise BadValue(key, str(path), allowed)
+    scale = UNITS[unit or "m"]
+    return drawing if scale == 1 else drawing.mapped(lambda points: points * scale)
+
+
+def _projected(key: str, path: Path, drawing: Drawing, frame: Frame) -> Drawing:
+    """The drawing in local m, from degrees or from a declared projected system."""
+    projected = frame.crs not in (None, "wgs84")
+    if frame.unit not in ((None, "m") if projected else (None,)):
+        allowed = f"null with coordinates in {frame.crs or 'degrees'}"
+        raise BadValue("walls_unit", frame.unit, allowed)
+
+    def degrees(points: Array) -> tuple[Array, Array]:
+        if projected:
+            return from_projected("walls_crs", str(frame.crs), points)
+        return points[:, 1], points[:, 0]
+
+    lat, lon = degrees(drawing.segments.reshape(-1, 2))
+    check_degrees(key, str(path), lat, lon, frame.origin)
+    origin = frame.origin
+    if origin is None:
+        system = "its crs" if frame.crs is None else "scenario.walls_crs"
+        allowed = (
+            "latitude and longitude of the local (0, 0), because the anchors are in m, and "
+            f"{path.name} is not ({system} is {(frame.crs or drawing.crs)!r}); its centre: "
+            f"{Origin.amid(lat, lon)}"
+        )
+        raise BadValue("origin_deg", None, allowed)
+    return drawing.mapped(lambda points: origin.local(*degrees(points))[:, :2])
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -90,130 +213,12 @@ def _text(key: str, path: Path) -> str:
         raise BadValue(key, str(path), "a readable file in UTF-8") from None
 
 
-def _table(key: str, path: Path, columns: tuple[str, ...]) -> Array:
-    """Numbers (N, columns) of a CSV file with a header; other columns are ignored."""
-    lines = csv.reader(_text(key, path).splitlines())
-    try:
-        head = [name.strip() for name in next(lines, [])]
-        for name in columns:
-            if head.count(name) != 1:
-                raise BadValue(
-                    key, str(path), f"a CSV file with the columns {', '.join(columns)}, each once"
-                )
-        where = [head.index(name) for name in columns]
-        rows = []
-        for row in lines:
-            if any(cell.strip() for cell in row):
-                rows.append([_number(key, path, row, i, head[i], lines.line_num) for i in where])
-    except csv.Error as error:
-        raise BadValue(key, str(path), f"a CSV file; {error}") from None
-    return np.array(rows, dtype=float).reshape(-1, len(columns))
+def _columns(key: str, path: Path) -> Sequence[str]:
+    """The columns of walls; raises BadValue unless a CSV file has each of them once."""
+    from aoabench.devices.columns import header, shown_columns
 
-
-def _number(key: str, path: Path, row: list[str], column: int, name: str, line: int) -> float:
-    cell = row[column].strip() if column < len(row) else ""
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise BadValue(
-            key,
-            str(path),
-            f"a finite number in every row; line {line} has {name}={shorten(repr(cell))}",
-        )
-    return value
-
-
-def _geojson(key: str, path: Path, unit: str | None, local: bool) -> tuple[Array, float | None]:
-    def bad(allowed: str) -> BadValue:
-        return BadValue(key, str(path), allowed)
-
-    try:
-        content = json.loads(_text(key, path))
-    except (ValueError, RecursionError):
-        raise bad("a GeoJSON file; this one is not JSON") from None
-    features = content.get("features") if isinstance(content, dict) else None
-    if not isinstance(features, list) or content.get("type") != "FeatureCollection":
-        raise bad("a GeoJSON FeatureCollection")
-    stated = content.get("units", unit or "m")
-    if stated != (unit or "m"):
-        wanted = (
-            f"set scenario.walls_unit={stated} if that is right"
-            if isinstance(stated, str) and stated in UNITS
-            else "convert them to m"
-        )
-        raise bad(
-            f"local coordinates in {unit or 'm'}; its units is {shorten(repr(stated), 60)}: "
-            f"{wanted}"
-        )
-    if content.get("crs") is not None and not local:
-        raise bad(
-            f"local coordinates; its crs is {_crs(content['crs'])}: scenario.walls_crs=local if x "
-            "and y are lengths in a plane all the same, else convert them "
-            "(walls_crs=wgs84 is not supported yet)"
-        )
-    walls, area = [np.empty((0, 2, 2))], None
-    for number, feature in enumerate(features):
-        try:
-            kind, lines = _feature(number, feature)
-        except ValueError as error:
-            raise bad(str(error)) from None
-        if kind == "visited":
-            outside, *holes = (_enclosed(line) for line in lines)
-            area = (area or 0.0) + outside - sum(holes)
-        else:
-            walls += [np.stack([line[:-1], line[1:]], axis=1) for line in lines]
-    return np.concatenate(walls), area
-
-
-def _crs(node: Any) -> str:
-    """The name in a GeoJSON member `crs`, or the member itself."""
-    return shorten(repr(_mapping(_mapping(node).get("properties")).get("name", node)), 60)
-
-
-def _feature(number: int, feature: Any) -> tuple[str, list[Array]]:
-    """Return the kind of a GeoJSON feature and its lines, each (K, 2) m; raises ValueError for
-    content that is not allowed.
-    """
-    node = _mapping(feature)
-    geometry = _mapping(node.get("geometry"))
-    kind = _mapping(node.get("properties")).get("kind", "wall")
-    form, nested = geometry.get("type"), geometry.get("coordinates")
-    known = [("wall", "LineString"), ("wall", "MultiLineString"), ("visited", "Polygon")]
-    if (kind, form) not in known:
-        raise ValueError(
-            "walls (kind wall) as LineString or MultiLineString, "
-            "the visited area (kind visited) as Polygon; "
-            f"feature {number} has the kind {shorten(repr(kind), 60)} "
-            f"and the geometry {shorten(repr(form), 60)}"
-        )
-    parts = [nested] if form == "LineString" else nested
-    lines = [_line(part) for part in parts] if isinstance(parts, list) else []
-    good = [line for line in lines if line is not None]
-    if not good or len(good) < len(lines):
-        raise ValueError(
-            "lines of at least two points [x, y] of finite numbers in m; "
-            f"feature {number} has others"
-        )
-    return kind, good
-
-
-def _mapping(node: Any) -> dict[str, Any]:
-    return node if isinstance(node, dict) else {}
-
-
-def _line(node: Any) -> Array | None:
-    """Points (K, 2) m of a GeoJSON line without heights; None if `node` is not a line."""
-    try:
-        line = np.array([point[:2] for point in node], dtype=float)
-    except (TypeError, ValueError):
-        return None
-    fits = line.ndim == 2 and len(line) > 1 and line.shape[1] == 2
-    return line if fits and np.all(np.isfinite(line)) else None
-
-
-def _enclosed(ring: Array) -> float:
-    """Area in m^2 within a closed ring of points (K, 2) m."""
-    x, y = (ring - ring[0]).T
-    return float(abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2)
+    present = header(key, str(path))
+    if any(present.count(name) != 1 for name in WALL_COLUMNS):
+        allowed = f"a CSV file with the columns {', '.join(WALL_COLUMNS)}, each once"
+        raise BadValue(key, str(path), f"{allowed}; it has {shown_columns(present)}")
+    return WALL_COLUMNS

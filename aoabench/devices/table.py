@@ -1,114 +1,72 @@
-"""Users' tables in CSV or Parquet: columns by name, every mistake with its line.
+"""Users' tables and logs: columns by name, every mistake with its line.
 
-A CSV file has a header, commas and decimal points; rows of Parquet are counted from 1. Every
-mistake raises BadValue with the key, the file and the allowed content. Heavy imports are inside the
-functions, because a list of presets does not need them.
+Lines of texts are counted from 1, and so are rows of Parquet. Every mistake raises BadValue with
+the key, the file and the allowed content. Heavy imports are inside the functions, because a list of
+presets does not need them.
 """
 
 from __future__ import annotations
 
+import re
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from io import BytesIO
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench.devices.columns import (
-    KINDS,
-    content_of,
-    header,
-    is_parquet,
-    is_plain,
-    ranges_of,
-    reason_of,
-)
+from aoabench.devices.foreign import reason_of
+from aoabench.devices.formats import opened
+from aoabench.devices.reading import ANCHOR, AUTO, Part, Reading
+from aoabench.devices.sources import KINDS
 from aoabench.errors import BadValue, did_you_mean, listed, shorten
 from aoabench.maths.geometry import Array
 
 if TYPE_CHECKING:
     import pandas as pd
 
-TEXTS = ("fix", "anchor", "id")  # read as text: 007 is not 7, and 1E5 is not a number
-EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None"]
+    from aoabench.devices.reading import Content
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of a file under aoabench's names, which `names` maps to the file's names."""
+    """Columns of files under aoabench's names, which `names` maps to the file's names.
+
+    The frame's index is the row's place in the files, whose `parts` say where. stated: the
+    conventions that the format states, under the names of a scenario's parameters; they stand in
+    for the scenario's defaults. notes: remarks on the files, to print.
+    """
 
     key: str
-    path: str
+    path: Any
     names: Mapping[str, str]
     frame: pd.DataFrame
-    first: tuple[str, int]
+    parts: tuple[Part, ...]
+    notes: tuple[str, ...] = ()
+    stated: Mapping[str, str] = field(default_factory=dict)
 
     @staticmethod
-    def read(key: str, path: str, names: Mapping[str, str]) -> Table:
+    def read(key: str, path: Any, names: Mapping[str, str], reading: Reading = AUTO) -> Table:
         """Read the columns `names` (aoabench's name -> the file's); empty rows are left out.
 
-        The file has to contain each column once. The frame's index is the row's place in the file.
+        The file has to contain each column once.
         """
-        present = header(key, path)
+        return Table.of(opened(key, path, reading), key, path, names)
+
+    @staticmethod
+    def of(content: Content, key: str, path: Any, names: Mapping[str, str]) -> Table:
+        """The columns `names` of an opened file."""
         try:
-            if is_parquet(key, path):
-                table = Table._parquet(key, path, names)
-            else:
-                table = Table._csv(key, path, names, present)
+            frame = content.cells(names)
         except BadValue:
             raise
         except (OSError, ValueError, NotImplementedError) as error:  # pandas and Arrow
             raise BadValue(key, path, f"a readable {KINDS}; {reason_of(error)}") from None
+        shown = {ours: content.shown(theirs) for ours, theirs in names.items()}
+        table = Table(key, path, shown, frame, content.parts, content.notes, content.stated)
         table = table.where(table.frame.notna().any(axis=1).to_numpy())
         if not len(table.frame):
             raise table.bad("a file with at least one row")
-        return table
-
-    @staticmethod
-    def _parquet(key: str, path: str, names: Mapping[str, str]) -> Table:
-        import pandas as pd
-        import pyarrow.parquet as pq
-
-        whole = pq.ParquetFile(BytesIO(content_of(path)))
-        ranges = ranges_of(whole.schema_arrow)
-        stored = [name for name in dict.fromkeys(names.values()) if name not in ranges]
-        table = whole.read(stored)
-        for field in table.schema:
-            if not is_plain(field.type):
-                allowed = "columns of texts, numbers or times"
-                raise BadValue(key, path, f"{allowed}; {field.name!r} has the type {field.type}")
-        found = table.replace_schema_metadata(None).to_pandas().assign(**ranges)
-        columns = {ours: found[theirs] for ours, theirs in names.items()}
-        return Table(key, path, names, pd.DataFrame(columns).reset_index(drop=True), ("row", 1))
-
-    @staticmethod
-    def _csv(key: str, path: str, names: Mapping[str, str], present: Sequence[str]) -> Table:
-        import pandas as pd
-
-        places = {ours: present.index(theirs) for ours, theirs in names.items()}
-        beyond = len(present)  # one extra column, to find cells beyond the header
-        texts = {place for ours, place in places.items() if ours in TEXTS} | {beyond}
-        empty: dict[Any, list[str]] = {p: [""] if p in texts else EMPTY for p in range(beyond + 1)}
-        found = pd.read_csv(
-            BytesIO(content_of(path)),
-            header=None,
-            skiprows=1,
-            names=range(beyond + 1),
-            index_col=False,
-            dtype=dict.fromkeys(texts, str),
-            na_values=empty,
-            keep_default_na=False,
-            skip_blank_lines=False,
-            skipinitialspace=True,
-            low_memory=False,
-            encoding="utf-8-sig",
-        )
-        frame = pd.DataFrame({ours: found[place] for ours, place in places.items()})
-        table = Table(key, path, names, frame, ("line", 2))
-        long = np.flatnonzero(found[beyond].notna())
-        if len(long):
-            more = f"{table.at(long[0])} has more"
-            raise table.bad(f"{beyond} cells in every row, as in the header; {more}")
         return table
 
     def where(self, keep: np.ndarray) -> Table:
@@ -121,15 +79,20 @@ class Table:
 
     def at(self, row: int, *columns: str) -> str:
         """'line 17 has azimuth_deg=400' for a row of the frame, or 'line 17'."""
-        word, first = self.first
-        cells = [(self.names[column], self.frame[column].iloc[row]) for column in columns]
+        place = int(self.frame.index[row])
+        part = self.parts[bisect_right([p.start for p in self.parts], place) - 1]
+        cells = [(self._name(column, row), self.frame[column].iloc[row]) for column in columns]
         shown = [
             f"{name}={shorten(repr(value) if isinstance(value, str) else str(value))}"
             for name, value in cells
         ]
-        return f"{word} {self.frame.index[row] + first}" + (
-            f" has {' and '.join(shown)}" if shown else ""
-        )
+        return part.at(place) + (f" has {' and '.join(shown)}" if shown else "")
+
+    def _name(self, column: str, row: int) -> str:
+        """The name in the file of a column's cell in a row."""
+        name = self.names[column]
+        wide = ANCHOR in name and "anchor" in self.frame.columns
+        return name.replace(ANCHOR, str(self.frame["anchor"].iloc[row])) if wide else name
 
     def check(self, column: str, wrong: np.ndarray, allowed: str) -> None:
         """Raise BadValue for the first row where `wrong` (N,) is True."""
@@ -162,12 +125,11 @@ class Table:
                 dtype=float
             )
         absent = cells.isna().to_numpy()
-        name = self.names[column]
-        self.check(
-            column,
-            ~np.isfinite(value) & ~absent,
-            f"finite numbers in {name}" + (", or empty cells" * empty),
-        )
+        name, wrong = self.names[column], ~np.isfinite(value) & ~absent
+        words = f"finite numbers in {name}" + ", or empty cells" * empty
+        if wrong.any() and re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cells[wrong].iloc[0])):
+            words += " (decimal commas: scenario.decimal=',')"
+        self.check(column, wrong, words)
         if not empty:
             self.check(column, absent, f"a number in {name} in every row")
         return value

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from aoabench.engine import metrics
+from aoabench.engine import metrics, recording
 from aoabench.engine.draws import Draws
 from aoabench.engine.inputs import Inputs
 from aoabench.engine.threads import one_thread
@@ -24,7 +24,8 @@ Rows = dict[str, np.ndarray]
 class Results:
     """An estimator's results for some replications: numbers (R,), true states (R, T, n), estimates
     and the facts about their input; those in `keep` become rows. `place` (T,): the places
-    (metrics.places) of true positions that all replications share.
+    (metrics.places) of true positions that all replications share. Of a recorded track: its `tag`,
+    and the names `fix` (T,) of its fixes.
     """
 
     numbers: np.ndarray
@@ -33,6 +34,8 @@ class Results:
     inputs: Inputs
     keep: slice
     place: np.ndarray | None = None
+    tag: str | None = None
+    fix: np.ndarray | None = None
 
     @cached_property
     def imprecise(self) -> np.ndarray:
@@ -49,8 +52,8 @@ class Results:
             return self
         inputs, estimates = (_cut(one, some) for one in (self.inputs, self.estimates))
         keep = slice(self.keep.start - first, self.keep.stop - first)
-        numbers, truth = self.numbers[some], self.truth[some]
-        return Results(numbers, truth, estimates, inputs, keep, self.place)
+        cut = {"numbers": self.numbers[some], "truth": self.truth[some], "keep": keep}
+        return replace(self, estimates=estimates, inputs=inputs, **cut)  # type: ignore[arg-type]
 
 
 def _cut(arrays: Any, some: slice) -> Any:
@@ -77,14 +80,17 @@ def run_block(
     """Run replications start..stop-1 and return each estimator's tables: `rows`, one row per
     replication, and with `steps` also `steps`, one row per step.
 
-    Where all replications share their true positions, `fixes` has one row of arrays per
-    replication, from which standard errors are clustered by position. `failures` is present only if
-    an estimator raised or gave NaN (see `try_tile`), `reasons` only if a fix is not ok. Estimators
-    of one tile size take turns tile by tile, so that each tile is drawn once for all of them.
+    Where all replications share their true positions, as in a recording of one track, `fixes` has
+    one row of arrays per replication, from which standard errors are clustered by position.
+    `failures` is present only if an estimator raised or gave NaN (see `try_tile`), `reasons` only
+    if a fix is not ok. Estimators of one tile size take turns tile by tile, so that each tile is
+    drawn once for all of them.
     """
+    tracks = scenario.tracks
+    shared = scenario.shares_positions if tracks is None else len(tracks.counts) == 1
     makers: dict[str, RowMaker] = {"rows": _rows, "reasons": _reasons}
     makers |= {"steps": _details} if steps else {}
-    makers |= {"fixes": _fixes} if scenario.shares_positions else {}
+    makers |= {"fixes": _fixes} if shared else {}
     blocks: dict[str, dict[str, Rows]] = {}
     wanted = range(start, stop)
     with one_thread():
@@ -110,11 +116,11 @@ def _same_tiles(
     start = wanted.start - wanted.start % size
     truth = draws.drawn(start, size).truth[0]
     place = metrics.places(truth[:, :3]) if "fixes" in makers else None
-    span = size * max(_SPAN // (size * len(truth)), 1)
+    span = size * max(_SPAN // (size * len(truth)), 1) if draws.tracks is None else 1
     for first in range(start, wanted.stop, span):
         tiles = range(first, min(first + span, wanted.stop), size)
         inputs, found = zip(*(_tried(draws, estimators, tile, size) for tile in tiles))
-        facts = Inputs.joined(inputs)
+        facts, identity = Inputs.joined(inputs), _identity(draws, first)
         numbers = np.arange(first, tiles[-1] + size)
         keep = slice(max(wanted.start - first, 0), min(wanted.stop - first, len(numbers)))
         for name in estimators:
@@ -122,7 +128,8 @@ def _same_tiles(
             estimates = _one_after_the_other([tile[name][1] for tile in found])
             for tile in found:
                 errors[name] |= tile[name][2]
-            results = Results(numbers, truth, estimates, facts, keep, place).near_those_kept()
+            mine = Results(numbers, truth, estimates, facts, keep, place, *identity)
+            results = mine.near_those_kept()
             for kind, make in makers.items():
                 rows[name][kind].append(make(results))
     blocks = {}
@@ -131,6 +138,14 @@ def _same_tiles(
         blocks[name] = {k: v for k, v in joined.items() if k != "reasons" or len(v["n"])}
         blocks[name] |= _failures(blocks[name]["rows"], errors[name])
     return blocks
+
+
+def _identity(draws: Draws, first: int) -> tuple[str | None, np.ndarray | None]:
+    """Tag and fixes of the recorded track `first`; None where simulated, or without tags."""
+    tracks = draws.tracks
+    if tracks is None:
+        return None, None
+    return tracks.tags[first] or None, tracks.fix[recording.fixes_of(tracks, first)]
 
 
 Tried = tuple[np.ndarray, Estimates, dict[int, str]]
@@ -142,7 +157,7 @@ def _tried(
     """The facts about one tile's input, and what `try_tile` returns for each estimator."""
     heard_only = any(estimator.heard_only for estimator in estimators.values())
     _, batch = draws.tile(first, size, heard_only)
-    inputs = Inputs.of(batch, draws.scenario.recorded is not None)
+    inputs = Inputs.of(batch)
     return inputs, {name: try_tile(draws, e, first) for name, e in estimators.items()}
 
 
@@ -170,6 +185,7 @@ def _rows(of: Results) -> Rows:
     found = {"replication": of.numbers, **metrics.per_replication(of.estimates, of.truth[..., :3])}
     found["n_unmeasured"] = of.inputs.unmeasured.sum(axis=1)
     found["n_imprecise"] = of.imprecise.sum(axis=1)
+    found["tag"] = np.full(len(of.numbers), of.tag, dtype=object)
     return {k: v[of.keep] for k, v in found.items()}
 
 
@@ -186,7 +202,8 @@ def _details(of: Results) -> Rows:
     found |= metrics.per_step(of.estimates, of.truth[..., :3])
     found |= {"time_s": of.inputs.time, "imprecise": of.imprecise}
     found["n_unmeasured"] = of.inputs.unmeasured.astype(int)
-    found["tag"] = found["fix"] = np.full((R, T), None)
+    found["tag"] = np.full((R, T), of.tag, dtype=object)
+    found["fix"] = np.full((R, T), None) if of.fix is None else of.fix[None]
     return {k: v[of.keep].ravel() for k, v in found.items()}
 
 

@@ -8,40 +8,44 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from aoabench.engine import recording
 from aoabench.maths.geometry import Array
 from aoabench.maths.places import at_anchors, at_places
 from aoabench.roles import Noise, Scenario
-from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, generators
-from aoabench.types import Anchors, Batch, Measurements
+from aoabench.streams import ANCHORS, ESTIMATOR, MEASUREMENT, PRIOR, TRUTH, Streams, generators
+from aoabench.types import Anchors, Batch, Measurements, Tracks
 
 _EMPTY = {"position": np.zeros(3), "rotation": np.eye(3), "position_sigma": np.zeros(3)}
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A tile of simulated replications; all arrays are read-only.
+    """A tile of simulated replications, or a recorded track; all arrays are read-only.
 
     truth (R, T, n); measured (R, T, K); known: all B anchors as known in each replication; prior
-    (R, n) and (n, n), or None; time (1, T) s.
+    (R, n) and (n, n), or None; time (1, T) s, None where unknown. columns (C,): the number of the
+    anchor behind each place of `measured` and `known` where one may have several, else None.
     """
 
     truth: Array
     measured: Measurements
     known: Anchors
     prior: tuple[Array, Array] | None
-    time: Array
+    time: Array | None
+    columns: np.ndarray | None = None
 
     @cached_property
     def heard(self) -> Batch:
         """The batch of the anchors heard at each step, or of all if the noise measures all."""
         numbers = self.measured.anchor_id
         if numbers is None:
-            return self._batch(self.measured.arrays, self.known, None)
+            places = None if self.columns is None else self.columns[None, None]
+            return self._batch(self.measured.arrays, self.known, places)
         known = {
             name: at_places(array, numbers, _EMPTY[name])
             for name, array in self.known.arrays.items()
         }
-        return self._batch(self.measured.arrays, Anchors(**known), numbers)
+        return self._batch(self.measured.arrays, Anchors(**known), numbers, self.known)
 
     @cached_property
     def whole(self) -> Batch:
@@ -54,13 +58,17 @@ class Drawn:
         return self._batch(measured, self.known, None)
 
     def _batch(
-        self, measured: dict[str, Array], anchors: Anchors, numbers: np.ndarray | None
+        self,
+        measured: dict[str, Array],
+        anchors: Anchors,
+        numbers: np.ndarray | None,
+        known: Anchors | None = None,
     ) -> Batch:
         mean, cov = self.prior or (None, None)
         batch = Batch(
             anchors=anchors,
             anchor_id=numbers,
-            known=None if numbers is None else self.known,
+            known=known,
             prior_mean=mean,
             prior_cov=cov,
             time=self.time,
@@ -87,7 +95,8 @@ class Drawn:
 
 
 class Draws:
-    """Simulated replications of one cell; the last tile is cached for the next estimator.
+    """Simulated replications or recorded tracks of one cell; the last tile is cached for the next
+    estimator. A tile of a recording is one track.
 
     With `only`, no other replications are simulated, apart from a second one if a tile has one of
     them: the first of these in a tile fills the places of the others.
@@ -97,6 +106,7 @@ class Draws:
         self, scenario: Scenario, noise: Noise, seed: int, only: range | None = None
     ) -> None:
         self.scenario, self.noise, self.seed, self.only = scenario, noise, seed, only
+        self.tracks = scenario.tracks
         self._last: tuple[tuple[int, int], Drawn] | None = None
 
     def tile(self, start: int, size: int, heard_only: bool = False) -> tuple[np.ndarray, Batch]:
@@ -113,7 +123,17 @@ class Draws:
             self._last = (start, size), self._simulated(start, size)
         return self._last[1]
 
+    def streams(self, replications: tuple[int, ...]) -> Streams:
+        """The estimators' random streams in some replications."""
+        if self.tracks is not None:
+            replications = tuple(recording.random_number(self.tracks, r) for r in replications)
+        return Streams(self.seed, self.scenario.name, replications)
+
     def _simulated(self, start: int, size: int) -> Drawn:
+        if self.tracks is not None:
+            if size != 1:
+                raise ValueError(f"a tile of a recording is one track, not {size}")
+            return self._recorded(self.tracks, start)
         numbers = range(start, start + size)
         wanted = self._wanted(numbers)
         drawn = self.simulate(wanted)
@@ -158,6 +178,27 @@ class Draws:
             time=self.scenario.times(truth.shape[1])[None],
         )
 
+    def _recorded(self, tracks: Tracks, track: int) -> Drawn:
+        """One track of the recording."""
+        some, columns = recording.fixes_of(tracks, track), recording.columns_of(tracks, track)
+        truth, time = tracks.truth[some][None], tracks.time[some][None]
+        number = (recording.random_number(tracks, track),)
+        (rng,), (other,) = self._rngs(number, ANCHORS), self._rngs(number, ESTIMATOR, PRIOR)
+        known = recording.anchors_of(self.noise.known_anchors(rng, self.scenario), tracks, track)
+        anchor, prior = tracks.columns[columns], self.scenario.prior(other, truth[0])
+        several = not np.array_equal(anchor, np.arange(known.count))
+        known = known.those(anchor) if several else known
+        for array in (truth, *known.arrays.values()):
+            array.setflags(write=False)
+        return Drawn(
+            truth=truth,
+            measured=recording.measured_by(tracks, track, columns),
+            known=known,
+            prior=None if prior is None else (prior[0][None], prior[1]),
+            time=time if np.isfinite(time).any() else None,
+            columns=anchor if several else None,
+        )
+
     def _truth(self, numbers: range) -> Array:
         """True states (R, T, n), a view of one array if they are equal in all replications, as they
         are in a scenario that `shares_positions`.
@@ -169,16 +210,15 @@ class Draws:
         return np.stack(each)
 
     def _measured(self, numbers: range, truth: Array) -> Measurements:
-        """The noise's measurements (R, T, K), or the scenario's recording (R, T, B)."""
-        recorded = self.scenario.recorded
-        if recorded is not None:
-            return Measurements.stacked([recorded] * len(numbers))
+        """The noise's measurements (R, T, K)."""
         rngs = self._rngs(numbers, MEASUREMENT)
         measured = _sampler(self.noise)(rngs, self.scenario, truth)
         ids = measured.anchor_id
         return measured if ids is None or ids.ndim == 3 else replace(measured, anchor_id=ids[None])
 
-    def _rngs(self, numbers: range, role: int, purpose: int = 0) -> Sequence[np.random.Generator]:
+    def _rngs(
+        self, numbers: Sequence[int], role: int, purpose: int = 0
+    ) -> Sequence[np.random.Generator]:
         return generators(self.seed, self.scenario.name, numbers, role, purpose)
 
 

@@ -17,7 +17,7 @@ class Inputs:
 
     unmeasured (R, T): no anchor has an azimuth, an elevation or a delay; centre (R, T|1, 3) m: the
     mean of the anchors' positions; extent (R, T|1) m: the largest distance between two anchors, 0
-    for a single one; time (R, T) s.
+    for a single one; time (R, T) s, NaN where unknown.
     """
 
     unmeasured: np.ndarray
@@ -26,14 +26,14 @@ class Inputs:
     time: Array
 
     @classmethod
-    def of(cls, batch: Batch, recorded: bool = False) -> Inputs:
-        """The facts about a batch. The times of a recording are NaN: the log keeps its own."""
+    def of(cls, batch: Batch) -> Inputs:
+        """The facts about a batch."""
         unmeasured = np.isnan(batch.azimuth) & np.isnan(batch.elevation)
         if batch.delay is not None:
             unmeasured &= np.isnan(batch.delay)
         shape = unmeasured.shape[:2]
         centre, extent = _layout(batch.layout.position)
-        time = np.nan if recorded or batch.time is None else batch.time
+        time = np.nan if batch.time is None else batch.time
         return cls(
             np.asarray(unmeasured.all(axis=2)),
             np.broadcast_to(centre, (shape[0], *centre.shape[1:])),

@@ -17,7 +17,6 @@ from aoabench.engine.tiles import tile_of, try_tile
 from aoabench.errors import UserError, did_you_mean
 from aoabench.roles import Scenario
 from aoabench.store import folder
-from aoabench.streams import Streams
 from aoabench.types import Batch, Estimates, Outcome
 
 
@@ -79,7 +78,7 @@ def replay(
     _, batch = draws.tile(first, size)
     columns = _estimated(truth[i], estimates, i) | _measured(batch, i)
     if replication not in errors:
-        streams = Streams(draws.seed, scenario.name, tuple(range(first, first + size)))
+        streams = draws.streams(tuple(range(first, first + size)))
         traced = method.trace(batch, scenario, streams)
         columns |= {name: np.asarray(value)[i] for name, value in traced.items()}
     rmse = metrics.per_replication(estimates, truth[..., :3])["rmse_3d_m"][i]

@@ -61,7 +61,7 @@ class Loss:
 
 def kind_of(cell: Cell) -> str:
     """The kind of table that a part must hold for the cell: `steps` or `rows`."""
-    return "steps" if cell.runner.steps else "rows"
+    return "steps" if cell.steps else "rows"
 
 
 def compute(task: Task, out: Path) -> dict[str, Loss]:
@@ -80,7 +80,7 @@ def compute(task: Task, out: Path) -> dict[str, Loss]:
     kind, span = kind_of(cell), (task.start, task.stop)
     missing = [name for name, key in task.keys.items() if not has_part(out, key, *span, kind)]
     estimators = {name: cell.estimators[name] for name in missing}
-    blocks = run_block(cell.scenario, cell.noise, estimators, cell.seed, *span, cell.runner.steps)
+    blocks = run_block(cell.scenario, cell.noise, estimators, cell.seed, *span, cell.steps)
     task.origin.check()
     _checked.set(task.origin)
     losses = {}

@@ -17,7 +17,7 @@ from aoabench.engine.draws import Draws, placed
 from aoabench.engine.metrics import reasons
 from aoabench.errors import UserError
 from aoabench.roles import Estimator, Scenario
-from aoabench.streams import TRUTH, Streams, generator
+from aoabench.streams import TRUTH, generator
 from aoabench.types import Batch, Estimates, Outcome, Reason
 
 _MOST_ELEMENTS = 2**20
@@ -25,8 +25,10 @@ _MOST_ELEMENTS = 2**20
 
 def tile_of(estimator: Estimator, scenario: Scenario) -> int:
     """Number of replications that an estimator takes at once: its own `tile`, or one derived from
-    the size of a replication; at most the number that the scenario has.
+    the size of a replication; at most the number that the scenario has; one track of a recording.
     """
+    if scenario.tracks is not None:
+        return 1
     tile = estimator.tile or _derived_tile(scenario, estimator.heard_only)
     return min(tile, scenario.replications or tile)
 
@@ -77,7 +79,7 @@ def call(
     """The estimator's estimates for a batch; only an estimator that needs the truth gets the true
     states (R, T, n).
     """
-    streams = Streams(draws.seed, draws.scenario.name, replications)
+    streams = draws.streams(replications)
     if "truth" not in estimator.needs:
         return estimator(batch, draws.scenario, streams)
     with_truth = cast(Callable[..., Estimates], estimator)

@@ -22,7 +22,9 @@ FEW = 100  # replications; cells with fewer are timed once, others up to three t
 
 @dataclass(frozen=True)
 class Timing:
-    """Median seconds of one tile, and its numbers of replications and steps."""
+    """Median seconds of one tile, and its numbers of replications and steps; of a recording, those
+    of its first track.
+    """
 
     seconds: float
     replications: int
@@ -92,15 +94,18 @@ def time_estimators(
             few = min(size, _SIMULATED, max(reps, 2))  # `placed` takes a single one as shared
             passes = min(1 + repeats, -(-reps // size))
             seconds: list[float] = []
+            per_step: list[float] = []
             for number in range(passes):
                 if sum(seconds) >= _ENOUGH_S:
                     break
                 first = max(number - 1, 0) if size == 1 else 0
-                seconds += _one_pass(draws, estimator, range(first, first + size), few)
-            seconds = seconds[1:] or seconds
+                one = _one_pass(draws, estimator, range(first, first + size), few)
+                seconds += one
+                per_step += [value / draws.drawn(first, few).truth.shape[1] for value in one]
             if seconds:
                 steps = draws.drawn(0, few).truth.shape[1]
-                result[name] = Timing(float(np.median(seconds)), size, steps)
+                middle = float(np.median(per_step[1:] or per_step))
+                result[name] = Timing(steps * middle, size, steps)
     return result
 
 

@@ -86,10 +86,11 @@ class SingleAnchor(_OnPlane):
             most=scenario.true_anchors.count,
             integer=True,
         )
-        if scenario.recorded is not None:
-            heard: np.ndarray = np.asarray(np.isfinite(scenario.recorded.azimuth).any(axis=0))
-            if not heard[self.anchor - 1]:
-                numbers = ", ".join(str(j + 1) for j in np.flatnonzero(heard))
+        tracks = scenario.tracks
+        if tracks is not None:
+            heard = np.unique(tracks.columns[np.isfinite(tracks.measured.azimuth).any(axis=0)])
+            if self.anchor - 1 not in heard:
+                numbers = ", ".join(str(j + 1) for j in heard)
                 raise BadValue("anchor", self.anchor, f"an anchor that measured: {numbers}")
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:

@@ -32,9 +32,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aoabench.errors import Unfit
+from aoabench.filters.belief import Belief, believed
 from aoabench.filters.divergence import Filtered, InnovationBound
 from aoabench.filters.heard import heard_alone
-from aoabench.filters.roots import EPS, absorb, covariance, near, predicted, prior_root
+from aoabench.filters.roots import EPS, absorb, covariance, moved, near, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.limits import ROUNDED
 from aoabench.kernels.loading import Compiled, engine_param
@@ -42,7 +43,7 @@ from aoabench.maths.geometry import LIGHT, Array, wrap
 from aoabench.maths.places import at_anchors
 from aoabench.models.components import LEAST_VARIANCE
 from aoabench.params import param
-from aoabench.roles import NEEDS, Belief, Estimator, Scenario, believed
+from aoabench.roles import NEEDS, Estimator, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates
 
@@ -150,7 +151,7 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
         """The kernel's recursion in NumPy, over the results of `measured`; the covariance of
         `belief` is a square root, and innovations (R, K, 3) are appended to `seen`.
         """
-        mean, root, F, Q = belief
+        mean, root = belief.mean, belief.covariance
         flags = tuple(name in self.as_printed for name in PRINTED)
         x, B = np.asarray(mean), np.broadcast_to(root, (*mean.shape, mean.shape[1]))
         means, covariances, nis = [], [], []
@@ -158,7 +159,8 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
             all="ignore"
         ):  # a replication that overflows becomes NaN and is counted as failed
             for k in range(y.shape[1]):
-                x, B = x @ F.T, predicted(B, F, Q)
+                F, Q = belief.at(k)
+                x, B = moved(x, F), predicted(B, F, Q)
                 those = anchors.at(k)
                 if seen is not None:
                     v = y[:, k] - expected(x[:, :3], those, flags[0])[0]

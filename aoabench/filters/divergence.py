@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
+from aoabench.filters.belief import Belief
 from aoabench.maths.geometry import Array
 from aoabench.params import CheckedParams, param
-from aoabench.roles import Belief
 from aoabench.types import Anchors, Estimates, Outcome, Reason
 
 SINGULAR = 1e-6  # least share of a variance that others leave open; single precision has 1e-7

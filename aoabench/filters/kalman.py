@@ -20,16 +20,17 @@ from typing import ClassVar
 
 import numpy as np
 
+from aoabench.filters.belief import Belief, believed
 from aoabench.filters.compiled import COMPONENTS, kind_of
 from aoabench.filters.divergence import Filtered, InnovationBound
-from aoabench.filters.roots import absorb, covariance, near, predicted, prior_root
+from aoabench.filters.roots import absorb, covariance, moved, near, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
 from aoabench.models.azel import AzEl
 from aoabench.models.unit_vector import UnitVector
 from aoabench.params import param
-from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
+from aoabench.roles import Filter, Measurement, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates
 
@@ -120,14 +121,15 @@ class _Kalman(InnovationBound, Compiled, Filter):
 
         Innovations (R, m) are appended to `seen`. The covariance of `belief` is a square root.
         """
-        h, F = self.measurement, belief.F
+        h = self.measurement
         x = np.asarray(belief.mean)
         B = np.broadcast_to(belief.covariance, (*x.shape, x.shape[-1]))
         means, covariances, nis = [], [], []
         with np.errstate(all="ignore"):  # overflow becomes NaN and is counted as failed
             for k in range(Y.shape[1]):
                 here = anchors.at(k)
-                x, L = x @ F.T, predicted(B, F, belief.Q)
+                F, Q = belief.at(k)
+                x, L = moved(x, F), predicted(B, F, Q)
                 if seen is not None:
                     seen.append(h.residual(Y[:, k], h.predict(x, here)))
                 x, B, squared = absorb(x, *self.innovation(x, L, Y[:, k], quality[:, k], here))

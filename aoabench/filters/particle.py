@@ -23,15 +23,17 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from aoabench.errors import BadValue
+from aoabench.filters.belief import Belief, believed
 from aoabench.filters.compiled import kind_of
 from aoabench.filters.divergence import SINGULAR, ExtentBound, marked, sound
 from aoabench.filters.particle_inputs import KernelDraws, shared_normals, terms, weights_table
+from aoabench.filters.roots import moved, process_roots
 from aoabench.filters.trace import innovations
 from aoabench.kernels.limits import ONE_PARTICLE
 from aoabench.kernels.loading import Compiled, engine_param, load
 from aoabench.maths.geometry import Array
 from aoabench.params import param
-from aoabench.roles import Belief, Filter, Measurement, Scenario, believed
+from aoabench.roles import Filter, Measurement, Scenario
 from aoabench.streams import PARTICLES, Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
 
@@ -58,9 +60,8 @@ class Track(NamedTuple):
 
     def of(self, i: int) -> Track:
         """The input of one replication."""
-        belief = self.belief._replace(mean=self.belief.mean[i : i + 1])
         some = slice(i, i + 1)
-        return Track(belief, self.Y[some], self.quality[some], self.anchors.of(i))
+        return Track(self.belief.of(i), self.Y[some], self.quality[some], self.anchors.of(i))
 
 
 class Posterior(NamedTuple):
@@ -147,11 +148,12 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         belief = believed(batch, scenario)
         found = self._posterior(batch, belief, streams)
         columns = {"ess": found.effective}
-        if len(belief.F) == 3:  # for a larger state the mean of the whole state is not kept
+        if belief.size == 3:  # the mean of a larger state is not kept
             h, means = self.measurement, found.mean
             Y, _ = h.observe(batch)
-            x = np.concatenate([belief.mean[:, None], means[:, :-1]], axis=1) @ belief.F.T
-            expected = [h.predict(x[:, k], batch.anchors.at(k)) for k in range(Y.shape[1])]
+            x = np.concatenate([belief.mean[:, None], means[:, :-1]], axis=1)
+            states = [moved(x[:, k], belief.at(k)[0]) for k in range(Y.shape[1])]
+            expected = [h.predict(each, batch.anchors.at(k)) for k, each in enumerate(states)]
             seen = [h.residual(Y[:, k], y) for k, y in enumerate(expected)]
             columns |= innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
         return columns
@@ -160,7 +162,7 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
     def _posterior(self, batch: Batch, belief: Belief, streams: Streams) -> Posterior:
         """The posteriors of all replications."""
         track = Track(belief, *self.measurement.observe(batch), batch.anchors)
-        kind = kind_of(self.measurement, self.engine) if len(belief.F) == 3 else None
+        kind = kind_of(self.measurement, self.engine) if belief.size == 3 else None
         compiled = None if kind is None else self.compiled(batch.anchors)
         if kind is not None and compiled is not None:
             return self._compiled(compiled, kind, track, streams)
@@ -181,7 +183,7 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         without resampling; offspring then carry the weights w / q.
         """
         belief, (Y,), (quality,), anchors = track
-        T, N, n = len(Y), self.particles, len(belief.F)
+        T, N, n = len(Y), self.particles, belief.size
         found = Posterior.empty(1, T)
         outcome, means, covariances, effective = (
             found.outcome[0],
@@ -189,11 +191,12 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
             found.covariance[0],
             found.effective[0],
         )
-        root_Q, root_P = np.linalg.cholesky(belief.Q), np.linalg.cholesky(belief.covariance)
+        root_P, roots = np.linalg.cholesky(belief.covariance), process_roots(belief.Q[0])
         x = belief.mean[0] + rng.standard_normal((N, n)) @ root_P.T
         log_w = np.full(N, -np.log(N))
         for k in range(T):
-            x = x @ belief.F.T + rng.standard_normal((N, n)) @ root_Q.T
+            root_Q = roots[min(k, len(roots) - 1)]
+            x = x @ belief.at(k)[0].T + rng.standard_normal((N, n)) @ root_Q.T
             here = anchors.at(k)
             loglik = self.measurement.loglik(x[None], here, Y[None, k], quality[None, k])[0]
             offset = rng.random()
@@ -225,18 +228,19 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         `chosen` (R, T, 2, N), for each replication as in `_reference`, is filled in if given.
         """
         belief, Y, quality, anchors = track
-        origins, F, N = belief.mean, belief.F, self.particles
+        origins, N = belief.mean, self.particles
         R, T = Y.shape[:2]
         key, out = streams.philox_key(PARTICLES), np.empty((R, T, 13))
-        roots = np.linalg.cholesky(belief.Q), np.linalg.cholesky(belief.covariance)
+        root_P = np.linalg.cholesky(belief.covariance)
         coefficients = terms(kind, Y, quality, anchors, origins)
         table = weights_table(self.measurement, kind)
         if chosen is None:
             chosen = np.empty((R, 0, 2, N), dtype=np.float32)
         for i, (replication, origin) in enumerate(zip(streams.replications, origins)):
+            F, Q = (np.ascontiguousarray(A[0], dtype=float) for A in belief.of(i)[2:])
             noise = shared_normals(compiled, key, replication, T + 1, N, R)
             compiled.lap(
-                kind, N, noise, replication, *key, F, F @ origin - origin, *roots,
+                kind, N, noise, replication, *key, F, F @ origin - origin, process_roots(Q), root_P,
                 coefficients[i], table, self.resample_below, out[i], chosen[i],
             )  # fmt: skip
         outcome = np.full((R, T), Outcome.OK, dtype=np.int8)
@@ -253,7 +257,7 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         ancestors by w, rounding would change an ancestor at the first near tie, and from then on
         both filters would differ like filters with different seeds. Raises BadValue without kernel.
         """
-        kind = kind_of(self.measurement) if len(track.belief.F) == 3 else None
+        kind = kind_of(self.measurement) if track.belief.size == 3 else None
         compiled = None if kind is None else load(KERNELS)
         if kind is None or compiled is None:
             allowed = "auto or numpy: double needs numba and a kernel for the model"

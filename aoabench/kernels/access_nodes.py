@@ -18,10 +18,9 @@ from aoabench.kernels.compile import ORDERED, given, inlined_ordered, kernel
 from aoabench.kernels.limits import ROUNDED
 from aoabench.kernels.square_root import (
     absorb,
-    cholesky,
+    advance,
     columns,
     conclude,
-    predict,
     reach,
     store,
     turned,
@@ -246,7 +245,7 @@ def convert(w, row, scale):
 
 @kernel(
     types.void(
-        *(given(2) for _ in range(4)), *(given(3) for _ in range(6)), given(4), given(4), given(4),
+        *(given(dimensions) for dimensions in (2, 2, 4, 4, 3, 3, 3, 3, 3, 3, 4, 4, 4)),
         *[types.boolean] * 5,
         types.float64[:, :, ::1], types.float64[:, :, :, ::1], types.float64[:, ::1],
         types.int64[:, ::1],
@@ -261,15 +260,16 @@ def ekf(
     """EKF means (R, T, 3) m, covariances (R, T, 3, 3) m^2, normalised innovations squared (R, T)
     and numbers (R, T) of measured components, into the last four arguments.
 
-    x0 (R, n), root0, F, Q (n, n): prior mean, lower factor of the prior covariance, motion model;
-    delay s ... elevation_sigma rad (R, T, K): measurements and their deviations, NaN = not
-    measured; position, sigma (R|1, T|1, K, 3) m, rotation (R|1, T|1, K, 9): the ANs and the
-    deviations of their positions; toa: whether the delays are used; jacobian, unwrapped, shared,
-    apart: errata to run as printed.
+    x0 (R, n), root0 (n, n): prior mean, lower factor of the prior covariance; F, Q (R|1, T|1, n,
+    n): motion model; delay s ... elevation_sigma rad (R, T, K): measurements and their deviations,
+    NaN = not measured; position, sigma (R|1, T|1, K, 3) m, rotation (R|1, T|1, K, 9): the ANs and
+    the deviations of their positions; toa: whether the delays are used; jacobian, unwrapped,
+    shared, apart: errata to run as printed.
     """
     (R, steps, K), n = azimuth.shape, x0.shape[1]
     x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
     P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
+    moves = np.empty((2, n, n, TILE))
     linked = 0.0 if apart else 1.0
     for start in range(0, R, TILE):
         lanes = min(TILE, R - start)
@@ -283,8 +283,7 @@ def ekf(
                 for r in range(TILE):
                     root[i, j, r], P[i, j, r] = root0[i, j], 0.0
         for k in range(steps):
-            predict(lanes, x, root, F, Q, P, FR, Fx)
-            cholesky(lanes, P, root)
+            advance(lanes, start, k, x, root, F, Q, moves, P, FR, Fx)
             reach(TILE, P, w[D])
             clear(w, A, L)
             clear(w, N, N + 1)

@@ -34,7 +34,7 @@ from aoabench.kernels.directions import (
     weigh,
 )
 from aoabench.kernels.small import AZEL_ADAPTIVE, UNIT_VECTOR
-from aoabench.kernels.square_root import cholesky, conclude, predict, reach, store, update
+from aoabench.kernels.square_root import advance, conclude, reach, store, update
 
 AHEAD = 4  # steps whose angles are fetched at a time
 AVERAGED, CENTRE = range(2)  # the UKF's variances
@@ -171,7 +171,7 @@ def note(start, k, count, measured):
 
 ARGUMENTS = (
     types.intp,
-    *(given(dimensions) for dimensions in (2, 2, 2, 2, 3, 3, 3, 3, 4, 5, 2)),
+    *(given(dimensions) for dimensions in (2, 2, 4, 4, 3, 3, 3, 3, 4, 5, 2)),
     types.float64[:, :, ::1],
     types.float64[:, :, :, ::1],
     types.float64[:, ::1],
@@ -188,13 +188,14 @@ def ekf(
     squared (R, T) and numbers of measured components (R, T) from angles (R, T, B) and their
     deviations (R|1, T|1, B) in rad.
 
-    x0 (R, n), root0, F, Q (n, n), where root0 is a lower factor of the prior's covariance; anchors
-    (R|1, T|1, B, ...); `table` (181, 2) of variances for AZEL_ADAPTIVE, which takes from the
-    deviations only whether they are known.
+    x0 (R, n); root0 (n, n), a lower factor of the prior's covariance; F, Q (R|1, T|1, n, n);
+    anchors (R|1, T|1, B, ...); `table` (181, 2) of variances for AZEL_ADAPTIVE, which takes from
+    the deviations only whether they are known.
     """
     (R, steps, B), n, d = azimuth.shape, x0.shape[1], 3 if kind == UNIT_VECTOR else 2
     x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
     P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
+    moves = np.empty((2, n, n, TILE))
     s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
     seen = np.empty((AHEAD, B, 2, TILE))
     known = min(AHEAD, azimuth_sigma.shape[1])
@@ -208,8 +209,7 @@ def ekf(
         for k in range(steps):
             arrive(kind, observed, (position, rotation), start, k, seen, precision, s, rot)
             now, weight = seen[k % AHEAD], precision[k % known]
-            predict(TILE, x, root, F, Q, P, FR, Fx)
-            cholesky(TILE, P, root)
+            advance(TILE, start, k, x, root, F, Q, moves, P, FR, Fx)
             reach(TILE, P, least)
             w[A : G + 3] = 0.0
             w[N] = 0.0
@@ -257,6 +257,7 @@ def ukf(
     (R, steps, B), n, d = azimuth.shape, x0.shape[1], 3 if kind == UNIT_VECTOR else 2
     x, Fx, w = np.empty((n, TILE)), np.empty((n, TILE)), np.empty((ROWS, TILE))
     P, FR, root = np.empty((n, n, TILE)), np.empty((n, n, TILE)), np.empty((n, n, TILE))
+    moves = np.empty((2, n, n, TILE))
     local, image, z = np.empty((7, 3, TILE)), np.empty((7, 3, TILE)), np.empty((d, 6, TILE))
     M, b = np.empty((6, 6, TILE)), np.empty((6, TILE))
     s, rot = np.empty((B, 3, TILE)), np.empty((B, 3, 3, TILE))
@@ -276,8 +277,7 @@ def ukf(
         for k in range(steps):
             arrive(kind, observed, (position, rotation), start, k, seen, precision, s, rot)
             now, weight = seen[k % AHEAD], precision[k % known]
-            predict(TILE, x, root, F, Q, P, FR, Fx)
-            cholesky(TILE, P, root)
+            advance(TILE, start, k, x, root, F, Q, moves, P, FR, Fx)
             b[:] = 0.0
             M[:] = 0.0
             w[N] = 0.0

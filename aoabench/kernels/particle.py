@@ -54,7 +54,7 @@ def aligned(M):
 
 
 @kernel(
-    "void(i8, i8, f4[:,:,::1], u8, u8, u8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], "
+    "void(i8, i8, f4[:,:,::1], u8, u8, u8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], "
     "f4[:,:,::1], f4[::1], f8, f8[:,::1], f4[:,:,::1])"
 )
 def lap(
@@ -78,10 +78,11 @@ def lap(
     13).
 
     `terms` (T, B, TERMS) and `table` as for `loglik`; positions are relative to the prior's mean,
-    with theta = F theta + b + n. `noise` (T + 1, 3, M), M = N rounded up to whole tiles, holds the
-    normals of the prior and of each step; if it is (1, 3, M), the kernel draws them into it.
-    `chosen` (T, 2, N) receives, at each step that ends in resampling, every particle's parent and
-    the weights by which parents were chosen; if it is (0, 2, N), they are not stored.
+    with theta = F theta + b + root_Q n; F, root_Q (T|1, 3, 3) and b (T|1, 3). `noise` (T + 1, 3,
+    M), M = N rounded up to whole tiles, holds the normals of the prior and of each step; if it is
+    (1, 3, M), the kernel draws them into it. `chosen` (T, 2, N) receives, at each step that ends in
+    resampling, every particle's parent and the weights by which parents were chosen; if it is (0,
+    2, N), they are not stored.
     """
     M = noise.shape[2]
     T = terms.shape[0]
@@ -93,7 +94,6 @@ def lap(
     tile, scratch = carray(stack(TILE), TILE), carray(stack(SCRATCH), SCRATCH)
     log_w[:N] = ZERO
     log_w[N:] = f4(-np.inf)
-    F_, b_, L = flat(F), (f4(b[0]), f4(b[1]), f4(b[2])), flat(root_Q)
     P_, none = flat(root_P), (ZERO, ZERO, ZERO)
     shared = noise.shape[0] > 1
     if not shared:
@@ -109,6 +109,9 @@ def lap(
             plane = 0
             normals(noise[0], u8(k + 1), replication, k0, k1)
         n, last = noise[plane], i4(0)
+        shift, i = b[min(k, len(b) - 1)], min(k, len(root_Q) - 1)
+        b_ = f4(shift[0]), f4(shift[1]), f4(shift[2])
+        F_, L = flat(F[min(k, len(F) - 1)]), flat(root_Q[i])
         if resampled:
             particles, children = children, particles
         for o in range(0, M, TILE):

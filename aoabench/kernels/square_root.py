@@ -55,6 +55,70 @@ def predict(tile, x, root, F, Q, P, FR, Fx):
 
 
 @spliced
+def advance(tile, start, k, x, root, F, Q, moves, P, FR, Fx):
+    """Predict the state of step k, x and root, of the replications start ... from F and Q (R|1,
+    T|1, n, n); moves (2, n, n, tile), P, FR and Fx are workspace, and P becomes the covariance.
+
+    Where all replications have the same matrices, the products of `predict` are taken by number.
+    """
+    i, j = min(k, F.shape[1] - 1), min(k, Q.shape[1] - 1)
+    if len(F) == 1 and len(Q) == 1:
+        predict(tile, x, root, F[0, i], Q[0, j], P, FR, Fx)
+    else:
+        fill(tile, start, i, F, moves[0])
+        fill(tile, start, j, Q, moves[1])
+        predict_each(tile, x, root, moves[0], moves[1], P, FR, Fx)
+    cholesky(tile, P, root)
+
+
+@spliced
+def fill(tile, start, k, matrices, out):
+    """Copy the matrices (R|1, T, n, n) of step k of the replications start ... into out (n, n,
+    tile); the last one fills up the tile.
+    """
+    n = len(out)
+    for r in range(tile):
+        one = matrices[min(start + r, len(matrices) - 1), k]
+        for i in range(n):
+            for j in range(n):
+                out[i, j, r] = one[i, j]
+
+
+@spliced
+def predict_each(tile, x, root, F, Q, P, FR, Fx):
+    """`predict` with F and Q (n, n, tile) of each replication."""
+    n = len(x)
+    raised = 1.0 + 2.0 * n * n * EPS
+    for i in range(n):
+        for r in range(tile):
+            Fx[i, r] = 0.0
+        for j in range(n):
+            for r in range(tile):
+                FR[i, j, r] = 0.0
+        for l in range(n):
+            some = False
+            for r in range(tile):
+                some |= F[i, l, r] != 0.0
+            if some:
+                for r in range(tile):
+                    Fx[i, r] += F[i, l, r] * x[l, r]
+                for j in range(max(l + 1, 3)):
+                    for r in range(tile):
+                        FR[i, j, r] += F[i, l, r] * root[l, j, r]
+    for i in range(n):
+        for r in range(tile):
+            x[i, r] = Fx[i, r]
+        for j in range(i + 1):
+            for r in range(tile):
+                P[i, j, r] = Q[i, j, r]
+            for l in range(n):
+                for r in range(tile):
+                    P[i, j, r] += FR[i, l, r] * FR[j, l, r]
+        for r in range(tile):
+            P[i, i, r] *= raised
+
+
+@spliced
 def cholesky(tile, P, L):
     """Lower factor of P into L; NaN where P is not positive definite."""
     n = len(P)

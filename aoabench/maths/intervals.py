@@ -83,6 +83,16 @@ def by_place(x: Array, place: np.ndarray | None) -> Array:
     return np.add.reduceat(x, starts, axis=1, dtype=float)
 
 
+def by_replication(x: Array, counts: np.ndarray | None) -> Array:
+    """Sums (R, 1) of x, (F,) or (1, F), over the fixes of replications that have `counts` (R,)
+    fixes each, one after the other; x itself without counts.
+    """
+    if counts is None:
+        return x
+    starts = np.cumsum(counts) - counts
+    return np.add.reduceat(np.ravel(x), starts, dtype=float)[:, None]
+
+
 def share_error(hits: Array, tries: Array, place: np.ndarray | None = None) -> float:
     """Standard error of the share sum of `hits` / sum of `tries`, both (R, T); NaN for less than
     two units.
@@ -141,9 +151,11 @@ def cep_intervals(
     probabilities: Sequence[float],
     place: np.ndarray | None = None,
     confidence: float = 0.95,
+    counts: np.ndarray | None = None,
 ) -> list[Interval]:
     """Intervals of quantiles of all fixes' errors (R, T) m (NaN: no fix), which depend on each
-    other as in `share_error`.
+    other as in `share_error`. With `counts` (R,), the errors (F,) are those of replications of so
+    many fixes each, one after the other.
 
     For horizontal errors this is the circular error probable, CEP50, CEP90 and so on. Woodruff's
     method: the empirical quantile function maps the interval of the share of fixes below the
@@ -154,10 +166,9 @@ def cep_intervals(
     pooled = e[known]
     if len(pooled) == 0:
         return [NOTHING] * len(probabilities)
-    z = normal_quantile(confidence)
-    half = np.array(
-        [z * share_error(e <= q, known, place) for q in np.quantile(pooled, probabilities)]
-    )
+    z, tries = normal_quantile(confidence), by_replication(known, counts)
+    below = (by_replication(e <= q, counts) for q in np.quantile(pooled, probabilities))
+    half = np.array([z * share_error(hits, tries, place) for hits in below])
     if np.isnan(half).any():  # of all of them: there are too few units
         return [NOTHING] * len(probabilities)
     p = np.asarray(probabilities)

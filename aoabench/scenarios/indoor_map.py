@@ -16,14 +16,17 @@ import numpy as np
 from aoabench import loaded
 from aoabench.devices import plan
 from aoabench.devices.anchors import SCHEMA
+from aoabench.devices.drawing import UNITS
 from aoabench.devices.floor_plan import FloorPlan
+from aoabench.devices.geodesy import Origin
+from aoabench.devices.routes import Route, waypoints
 from aoabench.errors import BadValue, check_array
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario
-from aoabench.scenarios.parameters import least_heard_param, name_param
-from aoabench.scenarios.route import RoundedRoute
+from aoabench.scenarios.parameters import least_heard_param, name_param, origin_param
+from aoabench.scenarios.route import RoundedRoute, states
 from aoabench.types import Anchors
 
 MOST_STEPS = 1_000_000
@@ -42,9 +45,8 @@ class IndoorMap(Scenario):
     An AN on a wall sees into the side that it faces (`devices.sight`). The network reports the
     nearest ANs in line of sight (seen from above), by true distance; their signals are the
     strongest. Filters start from a mean position drawn around the true start, and from velocity
-    and acceleration 0. With `truth_from: model` the route is not followed: the
-    true states are drawn from the prior at the first waypoint and from `motion`, so that the
-    filters' model is exact.
+    and acceleration 0. With `truth_from: model` the true states are drawn from the prior at the
+    first waypoint and from `motion`, so that the filters' model is exact.
     """
 
     name: str = name_param()
@@ -53,27 +55,36 @@ class IndoorMap(Scenario):
         "roll_deg",
         allowed=f"an existing file, {SCHEMA}",
     )
-    route: Sequence[Sequence[float]] = param(
-        help="waypoints, a row x, y for each", unit="m", shape=(None, 2)
+    route: Sequence[Sequence[float]] | str = param(
+        help="waypoints x, y; or a file, GPX or CSV with x_m, y_m or lat_deg, lon_deg",
+        unit="m",
+        shape=(None, 2),
     )
     motion: Motion = param(help="motion model that filters assume", kind=Motion, allowed=STATE)
     walls: str | None = param(
-        help="file of the walls, GeoJSON or CSV with x0_m, y0_m, x1_m, y1_m; null: no walls",
+        help="file of the walls: GeoJSON, CSV with x0_m, y0_m, x1_m, y1_m, or DXF; null: no walls",
         allowed="an existing file, or null",
     )
     walls_unit: str | None = param(
         None,
-        "unit of the walls' coordinates; null: m, and walls that seem to have another are refused",
-        choices=tuple(plan.UNITS),
+        "unit of the walls' coordinates; null: that of a DXF file, else m, refused if doubtful",
+        choices=tuple(UNITS),
     )
     walls_crs: str | None = param(
         None,
-        "coordinates of the walls: local, lengths in a plane; null: local, and walls that seem to "
-        "be in degrees or name a crs are refused; wgs84 is not supported yet",
-        choices=("local", "wgs84"),
+        "coordinates of the walls: local, lengths in a plane; wgs84, in deg; EPSG:25832 or so "
+        "(needs pyproj); null: local, refused if they seem to be in degrees or name another system",
     )
+    walls_layers: Sequence[str] | None = param(
+        None, "layers of a DXF file, or kinds of GeoJSON features, that are walls; null: all"
+    )
+    origin_deg: Sequence[float] | None = origin_param()
     corner_radius_m: float = param(
-        2.0, "radius of the arcs that replace the route's corners", unit="m", least=1e-3, most=1e6
+        2.0,
+        "radius of the arcs that replace corners; smaller on short legs of a route from a file",
+        unit="m",
+        least=1e-3,
+        most=1e6,
     )
     speed_m_s: float = param(1.1, "horizontal speed", unit="m/s", least=1e-3, most=1e6)
     height_m: tuple[float, float] = param(
@@ -122,14 +133,13 @@ class IndoorMap(Scenario):
             raise BadValue("steps", self.steps, "null with truth_from=route, which gives it")
         if len(self.motion.matrices(self.dt)[0]) != 9:
             raise BadValue("motion", self.motion, STATE)
+        if self.walls is None and self.walls_layers is not None:
+            raise BadValue("walls_layers", self.walls_layers, "null without scenario.walls")
         # read the files now, so that mistakes in them are reported at construction
-        _ = self._path
         with loaded.reading() as files:
-            self._plan.check(
-                (self.anchors, self.walls),
-                np.array(self.route, dtype=float),
-                wanders=self.truth_from == "model",
-            )
+            _ = plan.find("route", self.route) if isinstance(self.route, str) else self._path
+            points = self._waypoints.points
+            self._plan.check((self.anchors, self.walls), points, wanders=self.truth_from == "model")
         object.__setattr__(self, "_files", files())
         if not 1 <= self.route_steps <= MOST_STEPS:
             allowed = (
@@ -160,7 +170,9 @@ class IndoorMap(Scenario):
 
     @cached_property
     def _plan(self) -> FloorPlan:
-        return FloorPlan.read(self._found(), self.walls_unit, self.walls_crs)
+        origin = Origin.given(self.origin_deg)
+        frame = plan.Frame(self.walls_unit, self.walls_crs, origin, self.walls_layers)
+        return FloorPlan.read(self._found(), frame)
 
     @property
     def wall_segments(self) -> Array | None:
@@ -192,7 +204,10 @@ class IndoorMap(Scenario):
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines about the files, to print."""
-        return self._plan.notes
+        found = (*self._plan.notes, *self._waypoints.notes)
+        if self.truth_from == "model":
+            return found
+        return (*found, *self._plan.crossings(self._route_truth[:, :2]))
 
     def offers(self) -> frozenset[str]:
         """The offers of all scenarios, less several anchors if only the nearest reports."""
@@ -227,7 +242,13 @@ class IndoorMap(Scenario):
     # --- the route --------------------------------------------------------------------------------
 
     @cached_property
+    def _waypoints(self) -> Route:
+        return waypoints("route", self.route, self._plan.known)
+
+    @cached_property
     def _path(self) -> RoundedRoute:
+        if isinstance(self.route, str):
+            return RoundedRoute.through(self._waypoints.points, self.corner_radius_m, smaller=True)
         return RoundedRoute.through(self.route, self.corner_radius_m)
 
     @cached_property
@@ -239,14 +260,7 @@ class IndoorMap(Scenario):
     def _route_truth(self) -> Array:
         """Position m, velocity m/s and acceleration m/s^2 (T, 9) on the route after each step."""
         arc: Array = self.speed_m_s * self.dt * np.arange(1.0, self.route_steps + 1)
-        position, ahead, curvature = self._path.at(arc)
-        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
-        climb = (self.height_m[1] - self.height_m[0]) / self._path.length
-        truth = np.zeros((len(arc), 9))
-        truth[:, :2], truth[:, 2] = position, self.height_m[0] + climb * arc
-        truth[:, 3:5], truth[:, 5] = self.speed_m_s * ahead, self.speed_m_s * climb
-        truth[:, 6:8] = self.speed_m_s**2 * curvature[:, None] * left
-        return truth
+        return states(self._path, arc, self.speed_m_s, self.height_m)
 
     def truth(self, rng: np.random.Generator) -> Array:
         """True position m, velocity m/s and acceleration m/s^2 (T, 9) after each step."""

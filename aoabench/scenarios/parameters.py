@@ -32,3 +32,14 @@ def least_heard_param() -> Any:
     """The parameter `least_heard`."""
     help = "share of the steps with a measurement by an anchor below which a run prints a warning"
     return param(0.1, help, least=0, most=1)
+
+
+def origin_param() -> Any:
+    """The field `origin_deg` of a scenario that reads files of places."""
+    return param(
+        None,
+        "latitude and longitude of the local (0, 0), where a file is in degrees; null: the "
+        "centroid of anchors in degrees",
+        unit="deg",
+        shape=(2,),
+    )

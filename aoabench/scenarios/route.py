@@ -10,6 +10,8 @@ import numpy as np
 from aoabench.errors import BadValue, check_array
 from aoabench.maths.geometry import Array, wrap
 
+BACK = 1e-3  # rad; a turn by less than this from half a turn is a turn on the spot
+
 
 @dataclass(frozen=True)
 class RoundedRoute:
@@ -26,11 +28,14 @@ class RoundedRoute:
     length: float
 
     @classmethod
-    def through(cls, route: Sequence[Sequence[float]], radius_m: float) -> RoundedRoute:
-        """The route through waypoints (K, 2) m with corners of this radius.
+    def through(
+        cls, route: Sequence[Sequence[float]] | Array, radius_m: float, smaller: bool = False
+    ) -> RoundedRoute:
+        """The route through waypoints (K, 2) m with corners of this radius, or, with `smaller`, of
+        the largest one up to it for which a corner cuts off at most half of each of its legs.
 
-        Raises BadValue for fewer than two waypoints, for equal ones in a row, a turn back and too
-        tight a corner.
+        Where it turns straight back, the target turns on the spot. Raises BadValue for fewer than
+        two waypoints, for equal ones in a row and, without `smaller`, for too tight a corner.
         """
         points = check_array("route", route, (None, 2))
         if len(points) < 2:
@@ -43,22 +48,26 @@ class RoundedRoute:
             )
         heading = np.arctan2(legs[:, 1], legs[:, 0])
         turn = wrap(np.diff(heading))
-        for i in np.flatnonzero(np.abs(turn) > np.pi - 1e-3):
-            allowed = "a waypoint at which the route does not turn back"
-            raise BadValue(f"route[{i + 1}]", points[i + 1].tolist(), allowed)
-        cut = np.concatenate([[0.0], np.tan(np.abs(turn) / 2), [0.0]])  # of a leg, per m of radius
-        _check_radius(radius_m, cut[:-1] + cut[1:], lengths)
+        turn[np.abs(turn) > np.pi - BACK] = 0.0  # on the spot: no arc
+        cut = np.tan(np.abs(turn) / 2)  # of each leg of a corner, per m of radius
+        share = np.ones(len(turn))  # of the radius
+        if smaller:
+            half = np.minimum(lengths[:-1], lengths[1:]) / 2
+            share = np.minimum(1, half / np.maximum(radius_m * cut, 1e-12))
+        cut = np.concatenate([[0.0], cut * share, [0.0]])
+        if not smaller:
+            _check_radius(radius_m, cut[:-1] + cut[1:], lengths)
         ahead = legs / lengths[:, None]
         line = lengths - radius_m * (cut[:-1] + cut[1:])
         # line, arc, line, ..., line; the last arc has length 0
         from_corner, to_corner = (radius_m * c[:, None] * ahead for c in (cut[:-1], cut[1:]))
         start = np.stack([points[:-1] + from_corner, points[1:] - to_corner], 1)
-        turns = np.append(turn, 0.0)
-        pieces = np.stack([np.maximum(line, 0), radius_m * np.abs(turns)], axis=1).ravel()
+        turns, radii = np.append(turn, 0.0), radius_m * np.append(share, 1.0)
+        pieces = np.stack([np.maximum(line, 0), radii * np.abs(turns)], axis=1).ravel()
         return cls(
             start=start.reshape(-1, 2),
             heading=np.repeat(heading, 2),
-            curvature=np.stack([np.zeros_like(turns), np.sign(turns) / radius_m], axis=1).ravel(),
+            curvature=np.stack([np.zeros_like(turns), np.sign(turns) / radii], axis=1).ravel(),
             begin=np.concatenate([[0.0], np.cumsum(pieces)[:-1]]),
             length=float(pieces.sum()),
         )
@@ -74,6 +83,20 @@ class RoundedRoute:
             [np.cos(middle), np.sin(middle)], axis=-1
         )
         return position, np.stack([np.cos(h + k * s), np.sin(h + k * s)], axis=-1), k
+
+
+def states(path: RoundedRoute, arc_m: Array, speed_m_s: float, height_m: Sequence[float]) -> Array:
+    """Position m, velocity m/s and acceleration m/s^2 (T, 9) at lengths (T,) m along a path that is
+    followed at a constant horizontal speed; the height is linear from its start to its end.
+    """
+    position, ahead, curvature = path.at(arc_m)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+    climb = (height_m[1] - height_m[0]) / path.length
+    found = np.zeros((len(arc_m), 9))
+    found[:, :2], found[:, 2] = position, height_m[0] + climb * arc_m
+    found[:, 3:5], found[:, 5] = speed_m_s * ahead, speed_m_s * climb
+    found[:, 6:8] = speed_m_s**2 * curvature[:, None] * left
+    return found
 
 
 def _check_radius(radius_m: float, cut: Array, lengths: Array) -> None:

@@ -18,12 +18,15 @@ class Errors:
     whether it is ok, each (R, T).
 
     place (T,): the number of each fix's position, where all replications share their positions.
+    counts (R,): the numbers of the replications' fixes if they differ; then the other arrays are
+    (F,), one replication after the other.
     """
 
     xy: Array
     z: Array
     ok: np.ndarray
     place: np.ndarray | None = None
+    counts: np.ndarray | None = None
 
 
 def accuracy(errors: Errors | None, n_ok: ArrayLike, n_fixes: ArrayLike) -> dict[str, float]:
@@ -35,14 +38,17 @@ def accuracy(errors: Errors | None, n_ok: ArrayLike, n_fixes: ArrayLike) -> dict
     if errors is None:
         ok, all_ = (np.asarray(n, dtype=float)[:, None] for n in (n_ok, n_fixes))
         return _share("availability", ok, all_, None)
-    place, all_ = errors.place, np.ones(errors.ok.shape, dtype=bool)
-    found = _share("availability", errors.ok, all_, place)
-    for limit in WITHIN_M:
-        found |= _share(f"p_within_{limit}m", errors.xy <= limit, all_, place)
+    place, counts = errors.place, errors.counts
+    all_ = intervals.by_replication(np.ones(errors.ok.shape, dtype=bool), counts)
+    hits = {"availability": errors.ok}
+    hits |= {f"p_within_{limit}m": errors.xy <= limit for limit in WITHIN_M}
+    found: dict[str, float] = {}
+    for name, some in hits.items():
+        found |= _share(name, intervals.by_replication(some, counts), all_, place)
     for columns, error in ((CEP, errors.xy), (ERROR_Z, np.abs(errors.z))):
         known = error[np.isfinite(error)]
         if len(known):
-            each = intervals.cep_intervals(error, list(columns.values()), place)
+            each = intervals.cep_intervals(error, list(columns.values()), place, counts=counts)
             for (name, probability), ends in zip(columns.items(), each):
                 found |= _three(name, float(np.quantile(known, probability)), ends)
     return found

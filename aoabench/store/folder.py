@@ -48,7 +48,7 @@ def record_cell(
     entries = dict(before.get("estimators", {}))
     for name, key in keys.items():
         known = {"timing": timing.get(key), "precision": precision.get(name)}
-        entries[name] = {"key": key, "reps": reps[name], "steps": cell.runner.steps, **known}
+        entries[name] = {"key": key, "reps": reps[name], "steps": cell.steps, **known}
     entries = {name: entry for name, entry in entries.items() if entry["reps"]}
     config = dict(cell.config)
     for group in ("filter", "estimator"):

@@ -129,15 +129,17 @@ class CellRows:
 
     def _errors_of_steps(self, name: str) -> Errors:
         """Every error of an estimator whose steps are stored."""
-        names = ("error_xy_m", "error_z_m", "outcome")
-        found = []
-        for table in self._noted(name, "steps"):
-            R = len(table["replication"].unique())
-            found.append([table[n].to_numpy().reshape(R, -1) for n in names])
-        xy, z, outcome = (np.concatenate(arrays) for arrays in zip(*found))
+        names = ("replication", "error_xy_m", "error_z_m", "outcome")
+        tables = list(self._noted(name, "steps"))
+        number, xy, z, outcome = (
+            np.concatenate([table[n].to_numpy() for table in tables]) for n in names
+        )
         positions = ~np.isin(outcome, ["failed", "rejected"])
         xy, z = (np.where(positions, e, np.nan) for e in (xy, z))
-        return Errors(xy, z, outcome == "ok")
+        counts = np.unique(number, return_counts=True)[1]
+        if (counts != counts[0]).any():
+            return Errors(xy, z, outcome == "ok", counts=counts)
+        return Errors(*(a.reshape(len(counts), -1) for a in (xy, z, outcome == "ok")))
 
     def _failures(
         self, name: str, failed: pd.DataFrame, parts: Sequence[Part], reasons: pd.DataFrame | None

@@ -12,7 +12,7 @@ from aoabench.cli.main import cli, dispatch, main
 from aoabench.errors import RunError, UserError
 from aoabench.store import compare as compare_module
 
-COMMANDS = ["run", "list", "compare", "collect", "replay", "reproduce", "report"]
+COMMANDS = ["run", "locate", "list", "compare", "collect", "replay", "reproduce", "report"]
 JSON = ["run", "list", "compare", "collect", "reproduce", "report"]
 
 
@@ -47,7 +47,7 @@ def test_version(flag, call):
 
 @pytest.mark.parametrize(("words", "line"), [
     (["rnu"], "unknown command 'rnu'; did you mean 'run'? see `aoabench --help`"),
-    (["frobnicate"], "unknown command 'frobnicate'; allowed: run, list, compare, collect, replay, "
+    (["xyzzy"], "unknown command 'xyzzy'; allowed: run, locate, list, compare, collect, replay, "
      "reproduce, report; see `aoabench --help`"),
     (["--hlep"], "unknown option --hlep; did you mean '--help'? see `aoabench --help`"),
     (["--json", "list"], "unknown option --json before the command; allowed: after the command; see `aoabench --help`"),

@@ -21,6 +21,7 @@ WINGS = [
     ("studies",),
     ("experiments",),
     ("__init__",),
+    ("deployment",),
     ("engine",),
     ("config",),
     ("filters", "estimators", "scenarios", "noise", "report"),

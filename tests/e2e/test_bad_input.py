@@ -221,7 +221,7 @@ PLANS = {
     "route outside": (NODES, WALLS, [AWAY], ["scenario.route=", "a route outside the building", "no point of the route sees any access node"]),
     "nobody knows the side": (NODES.replace(",facing_deg", ",note"), WALLS, [ROUTE], ["scenario.anchors='a.csv'", "facing_deg"]),
     "degrees": (INWARD, DEGREES, [ROUTE], ["scenario.walls='", "w.csv'", "degrees", "scenario.walls_crs=local"]),
-    "wgs84": (INWARD, DEGREES, [ROUTE, "scenario.walls_crs=wgs84"], ["scenario.walls_crs='wgs84'", "not supported yet"]),
+    "wgs84": (INWARD, DEGREES, [ROUTE, "scenario.walls_crs=wgs84"], ["scenario.origin_deg=", "w.csv is not", "its centre: [60.0"]),
     "mm": (INWARD, MILLIMETRES, [ROUTE], ["scenario.walls='w.csv'", "walls span 12000 m", "scenario.walls_unit=mm"]),
     "not mm": (INWARD, WALLS, [ROUTE, "scenario.walls_unit=mm"], ["scenario.walls_unit='mm'", "perhaps m"]),
     "no unit": (INWARD, WALLS, [ROUTE, "scenario.walls_unit=inch"], ["scenario.walls_unit='inch'", "m, cm, mm"]),

@@ -97,10 +97,10 @@ def test_a_fix_is_unmeasured_without_an_angle_and_a_delay_of_any_anchor():
     assert both[1].unmeasured.tolist() == [[False, False, False, True]]
 
 
-def test_times_are_the_batchs_and_not_those_that_a_recording_lacks():
+def test_times_are_the_batchs_and_nan_where_it_has_none():
     given = batch(np.zeros((2, 3)), (2, 3), time=np.array([[0.5, 1.0, 4.0]]))
     assert Inputs.of(given).time.tolist() == [[0.5, 1.0, 4.0]] * 2
-    assert np.isnan(Inputs.of(given, recorded=True).time).all()
+    assert np.isnan(Inputs.of(batch(np.zeros((2, 3)), (2, 3))).time).all()
 
 
 def estimates(outcome, reason=None, position=0.0):

@@ -44,6 +44,7 @@ GOOD = {
     "all columns, in another order": (
         "roll_deg,facing_deg,floor,y_m,x_m,id,pitch_deg,z_m\n20,110,EG,2,1,1,-35,3\n180,0,OG,6,5,b,0,2.8\n",
         [3, 2.8], [[110, -35, 20], [0, 0, 180]]),
+    "semicolons and decimal commas": ("x_m;y_m;z_m\n1,0;2;3\n5;6;2,5\n", [3, 2.5], [[0, 0, 0]] * 2),
     "pitch without facing": ("id,x_m,y_m,pitch_deg\n1,1,2,30\nb,5,6,0\n", [0, 0], [[0, 30, 0], [0, 0, 0]]),
 }  # fmt: skip
 
@@ -53,7 +54,8 @@ GOOD = {
 def test_both_scenarios_read_the_same_anchors(text, z, turns, kind, here):
     Path("a.csv").write_text(text)
     if kind == "parquet":
-        pd.read_csv("a.csv", dtype={"id": str}).to_parquet("a.parquet")
+        marks = {"sep": ";", "decimal": ","} if ";" in text else {}
+        pd.read_csv("a.csv", dtype={"id": str}, **marks).to_parquet("a.parquet")
     for anchors in (by_map(f"a.{kind}").true_anchors, by_log(f"a.{kind}").true_anchors):
         np.testing.assert_array_equal(anchors.position[0, 0], [[1, 2, z[0]], [5, 6, z[1]]])
         for R, (facing, pitch, roll) in zip(anchors.rotation[0, 0], turns):
@@ -80,7 +82,7 @@ def test_the_shipped_anchors_are_a_file_like_any_other(here):
 
 
 BAD = {
-    "no y": ("x_m,z_m\n1,2\n", ["it has x_m, z_m", ", ".join(COLUMNS[-3:])]),
+    "no y": ("x_m,z_m\n1,2\n", ["it has x_m, z_m", ", ".join(COLUMNS[-4:])]),
     "misspelt": ("x_m,ym\n1,2\n", ["did you mean 'ym'"]),
     "twice": ("x_m,y_m,z_m,z_m\n1,2,3,3\n", ["each once"]),
     "empty": ("", ["line 1 is empty"]),
@@ -94,8 +96,11 @@ BAD = {
     "tilt": ("x_m,y_m,Tilt (deg)\n1,2,90\n", ["'Tilt (deg)'", "call it pitch_deg"]),
     "height": ("x_m,y_m,height_m\n1,2,3\n", ["'height_m'", "call it z_m"]),
     "roll in rad": ("x_m,y_m,roll_rad\n1,2,3\n", ["'roll_rad'", "call it roll_deg"]),
-    "semicolons": ("x_m;y_m\n1;2\n", ["it has no names of columns", "separated by commas"]),
-    "degrees": ("lat,lon\n60,24\n", ["it has lat, lon", "degrees", "local m"]),
+    "half of the degrees": ("lat,x_m\n60,24\n", ["it has lat, x_m", "lat_deg and lon_deg"]),
+    "far north": ("lat,lon\n160,24\n", ["latitudes within +-90", "160"]),
+    "exchanged": ("lat,lon\n-123,45\n", ["latitudes and longitudes are exchanged?"]),
+    "two heights": ("lat,lon,z_m,alt\n60,24,1,2\n", ["one column of heights", "alt and z_m"]),
+    "clocks": ("x_m,y_m,clock_offset_s\n1,2,late\n", ["line 2 has clock_offset_s='late'"]),
 }  # fmt: skip
 
 

@@ -60,7 +60,7 @@ def test_degrees_are_refused_unless_declared_local(kind):
     words = ("walls=", f"w.{kind}", "degrees", "scenario.walls_crs=local", "wgs84")
     refused(*words, walls=DEGREES, kind=kind)
     refused(*words, walls=scaled(DEGREES, 1, (-24, -120)), kind=kind)
-    refused("walls_crs='wgs84'", "not supported yet", walls=DEGREES, kind=kind, walls_crs="wgs84")
+    refused("origin_deg=None", "[60.0000", "24.0000", walls=DEGREES, kind=kind, walls_crs="wgs84")
     refused(
         "walls lie within x 24 to 24.0001", "access nodes and the route within x 0 to 12",
         walls=DEGREES, kind=kind, walls_crs="local",
@@ -106,11 +106,12 @@ def test_stated_units_and_reference_systems_are_not_overlooked():
     refused("units is 'mm'", "scenario.walls_unit=mm", **mm)
     refused("units is 'mm'", "in m", **mm, walls_unit="m")
     assert plan(**mm, walls_unit="mm").wall_segments.max() == pytest.approx(12)
-    refused("units is 'ft'", "convert", more={"units": "ft"})
-    refused("units is 3", "convert", more={"units": 3})
+    refused("units is 'ft'", "scenario.walls_unit=ft", more={"units": "ft"})
+    refused("units is 'deg'", "convert", more={"units": "deg"})
+    refused("units is '3'", "convert", more={"units": 3})
     crs = {"crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25833"}}}
     refused("crs is 'urn:ogc:def:crs:EPSG::25833'", "scenario.walls_crs=local", more=crs)
-    refused("crs is", more={"crs": "EPSG:4326"})
+    refused("origin_deg=None", "crs is 'EPSG:4326'", more={"crs": "EPSG:4326"})
     assert plan(more=crs, walls_crs="local").wall_segments.max() == 12
     assert plan(more={"crs": None, "units": "m"}).wall_segments.max() == 12
 

@@ -347,6 +347,7 @@ MISTAKES = {
     "no time": ("time_s,anchor,azimuth_deg\n1,a1,1\n,a2,1\n", {}, ["line 3 has time_s=nan", "every row"]),
     "no date": ("time_s,anchor,azimuth_deg\n2024-05-01,a1,1\nsoon,a2,1\n", {}, ["line 3 has time_s='soon'", "ISO 8601"]),
     "no number": (HEAD + "1,a1,1,1,1,1\n1,a2,12;5,1,1,1\n", {}, ["line 3 has azimuth_deg='12;5'", "finite numbers in azimuth_deg"]),
+    "decimal comma": (HEAD + "1,a1,1,1,1,1\n" * 60 + '1,a2,"12,5",1,1,1\n', {}, ["line 62 has azimuth_deg='12,5'", "scenario.decimal=','"]),
     "truth values": (HEAD + "1,a1,True,1,1,1\n1,a2,False,1,1,1\n", {}, ["line 2 has azimuth_deg=True"]),
     "infinite": (HEAD + "1,a1,inf,1,1,1\n", {}, ["line 2 has azimuth_deg=inf"]),
     "decimal commas": (HEAD + "1,a1,1,1,1,1\n1,a2,12,5,1,1,1\n", {}, ["6 cells", "line 3 has more"]),
@@ -391,13 +392,15 @@ def test_mistakes_in_the_anchors(here, content, words):
 def test_files_that_are_none(here):
     Path("folder.csv").mkdir()
     Path("torn.parquet").write_bytes(b"PAR1 and then nothing")
-    Path("utf16.csv").write_text(LOG, encoding="utf-16")
+    Path("latin.csv").write_bytes(LOG.replace("rssi", "stärke").encode("latin-1"))
+    Path("zeros.csv").write_bytes(LOG.encode() + b"\0")
     Path("log.json").write_text("{}")
     for path, words in (
         ("nowhere.csv", ["existing", ".csv", ".parquet"]),
         ("folder.csv", ["existing", "this is a folder"]),
         ("torn.parquet", ["readable"]),
-        ("utf16.csv", ["UTF-8"]),
+        ("latin.csv", ["UTF-8"]),
+        ("zeros.csv", ["is 0, as in binary files"]),
         ("log.json", [".csv", ".parquet"]),
         (None, ["existing"]),
         ("a\0b", ["existing"]),

@@ -130,6 +130,6 @@ def test_no_shipped_access_node_stands_on_a_wall():
     from aoabench.devices.sight import on_walls
 
     files = [find("", f"indoor_map{name}") for name in ("_anchors.csv", ".geojson")]
-    plan = FloorPlan.read(files, None, None)
+    plan = FloorPlan.read(files)
     assert not on_walls(plan.position, plan.walls).any()
     assert plan.notes == ()

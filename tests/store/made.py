@@ -18,6 +18,7 @@ def block(start, stop, fixes=0, seed=1):
     errors = {f"rmse_{axis}_m": rng.gamma(4, 0.1, n) for axis in ("3d", "xy", "z")}
     zeros = dict.fromkeys(("n_diverged", "n_oscillated", "n_failed", "n_rejected"), count * 0)
     rest = {"n_unmeasured": count * 0, "n_imprecise": count * 0, "reason": np.full(n, "")}
+    rest["tag"] = np.full(n, None)
     rows = {"replication": number, **errors, "outcome": np.full(n, "ok"), "n_fixes": count}
     rows |= {"n_ok": count, **zeros, "iterations": np.full(n, np.nan), "nees": rng.gamma(3, 1, n)}
     made = {"rows": rows | rest}

@@ -12,12 +12,12 @@ from scipy.linalg import block_diag
 from aoabench.errors import BadValue, Unfit
 from aoabench.estimators.centroid import WeightedCentroid
 from aoabench.filters import access_nodes as an
+from aoabench.filters.belief import believed
 from aoabench.filters.heard import heard_alone
 from aoabench.kernels.access_nodes import LEAST_VARIANCE
 from aoabench.maths.geometry import LIGHT, wrap
 from aoabench.models import components
 from aoabench.models.motion import ConstantAcceleration
-from aoabench.roles import believed
 from aoabench.types import Anchors, Batch, Outcome
 from tests.helpers import Place
 from tests.theory.rounding import equal_but_for_rounding, moved_by_rounding

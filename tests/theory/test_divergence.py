@@ -15,6 +15,7 @@ from aoabench.engine.tiles import estimate_tile
 from aoabench.filters import divergence as rules
 from aoabench.filters import roots
 from aoabench.filters.access_nodes import PRINTED, AccessNodeEKF, expected
+from aoabench.filters.belief import Belief, believed
 from aoabench.filters.kalman import EKF, UKF
 from aoabench.filters.particle import ParticleFilter
 from aoabench.kernels.limits import NEAREST, ROUNDED
@@ -23,7 +24,6 @@ from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.motion import RandomWalk
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
-from aoabench.roles import Belief, believed
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome, Reason
 from tests.helpers import Place

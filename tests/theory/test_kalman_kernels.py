@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aoabench.filters.belief import believed
 from aoabench.filters.compiled import KINDS
 from aoabench.filters.kalman import EKF, UKF
 from aoabench.kernels.loading import load
@@ -13,7 +14,7 @@ from aoabench.maths.places import at_places, numbers_of
 from aoabench.models.azel import AzEl, AzElAdaptive
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
-from aoabench.roles import Scenario, believed
+from aoabench.roles import Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome
 from tests.theory.assembly import assembly

@@ -1,0 +1,130 @@
+"""`aoabench locate`."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from aoabench.cli.common import Command, echo, say
+from aoabench.cli.complete import override_items
+from aoabench.errors import check_number
+
+if TYPE_CHECKING:
+    from aoabench.deployment.located import Located
+    from aoabench.deployment.request import Request
+    from aoabench.maths.geometry import Array
+
+_SHOWN = 10  # rows on the screen
+
+
+@click.command(cls=Command)
+@click.argument(
+    "log", metavar="LOG", help="A log of measured angles, a quoted pattern of several, or -."
+)
+@click.argument(
+    "words",
+    metavar="[scenario.KEY=VALUE]...",
+    nargs=-1,
+    type=click.UNPROCESSED,
+    shell_complete=override_items,
+    help="How to read the log, as in `aoabench list recorded`; parameters of the method too.",
+)
+@click.option("--anchors", help="The file of the anchors: id, x_m, y_m, z_m, facing_deg ...")
+@click.option("--format", "form", help="The format of the log, such as ublox or silabs.")
+@click.option("--estimator", help="The estimator.  [default: robust_ml]")
+@click.option("--filter", "filter_", help="A filter or smoother, in place of an estimator.")
+@click.option("--plan", type=click.Path(), help="Walls for the map: GeoJSON, CSV or DXF.")
+@click.option("--truth", type=click.Path(), help="A file of true positions.")
+@click.option(
+    "--max-sigma",
+    type=float,
+    metavar="M",
+    help="Reject fixes whose stated standard deviation in the plane exceeds M metres.",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="The table of fixes: .csv, .parquet or .geojson.  [default: LOG-fixes.csv in this folder]",
+)
+def locate(
+    log: str,
+    words: tuple[str, ...],
+    anchors: str | None,
+    form: str | None,
+    estimator: str | None,
+    filter_: str | None,
+    plan: str | None,
+    truth: str | None,
+    max_sigma: float | None,
+    out: Path | None,
+) -> None:
+    """Locate the tags of a device's log.
+
+    Writes a table with time, tag, position, standard deviations, outcome and reason of each fix,
+    and a map; with known truth, a figure of the errors too.
+
+    \b
+    Examples:
+      aoabench locate capture.log --anchors anchors.csv --format ublox
+      aoabench locate log.csv --anchors anchors.csv --plan walls.geojson scenario.window_s=0.1
+      aoabench locate log.csv --anchors anchors.csv --filter ekf_vmf -o track.geojson
+    """
+    from aoabench.deployment.request import Request
+
+    check_number("--max-sigma", max_sigma, above=0, optional=True)
+    request = Request(log, anchors, form, estimator, filter_, truth, words)
+    _from_files(request, plan, max_sigma, out or Path(f"{_stem(log)}fixes.csv"))
+
+
+def _stem(log: str) -> str:
+    """The beginning of the default name of the table."""
+    name = Path(log).name
+    return "" if re.search(r"[*?\[\]{},]", name) else f"{Path(name).stem}-"
+
+
+def _from_files(request: Request, plan: str | None, max_sigma: float | None, out: Path) -> None:
+    """Locate the tags of files; write table and figures, print what they say."""
+    from aoabench.deployment import files, located, plans
+    from aoabench.engine.faults import report
+
+    files.check_out(out, [request.log, request.anchors, request.truth, plan])
+    asked = request.asked(report)
+    walls = None if plan is None else plans.walls(plan)
+    found = located.locate(asked, max_sigma, report)
+    for line in asked.cell.notes:
+        echo(line, file=sys.stderr)
+    files.write(found.frame, out, asked.cell.config)
+    for line in found.errors:
+        report(line)
+    _print(found)
+    say(f"fixes: {out}")
+    for kind, path in _figures(found, out, walls):
+        say(f"{kind}: {path}")
+
+
+def _print(found: Located) -> None:
+    """Print the first rows and what the table says."""
+    from aoabench.deployment import summary
+
+    asked, frame = found.asked, found.frame
+    for line in (*summary.head(frame, _SHOWN), *summary.lines(frame, asked.name)):
+        say(line)
+    sense = asked.scenario.azimuth_sense
+    for line in summary.residual_lines(found.residuals, asked.anchor_names, sense):
+        say(line)
+    if found.with_truth:
+        for line in summary.accuracy_lines(summary.accuracy(frame)):
+            say(line)
+
+
+def _figures(found: Located, out: Path, walls: Array | None) -> list[tuple[str, Path]]:
+    os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
+    from aoabench.deployment import figures
+
+    return figures.write(found, out, walls)

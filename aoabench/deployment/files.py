@@ -1,0 +1,106 @@
+"""The table of fixes as a file: CSV, Parquet or GeoJSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aoabench.errors import BadValue
+from aoabench.maths.geometry import Array
+from aoabench.store.files import provenance, write_atomically, write_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+KINDS = (".csv", ".parquet", ".geojson")
+DECIMALS = 6  # of lengths in m and angles in deg in texts: micrometres
+_LENGTHS = ("_m", "_deg", "_m2", "score")
+ToDegrees = Callable[[Array], Array]  # positions (N, 2) m to longitudes and latitudes (N, 2) deg
+
+
+def check_out(out: Path, read: Sequence[str | None]) -> None:
+    """Raise BadValue unless `out` has one of the KINDS and is none of the files that are `read`."""
+    if out.suffix.lower() not in KINDS:
+        raise BadValue("-o", str(out), f"a file that ends in {', '.join(KINDS)}")
+    for name in read:
+        if name is not None and out.resolve() == Path(name).resolve():
+            raise BadValue("-o", str(out), "another file than those that are read")
+
+
+def write(
+    frame: pd.DataFrame, out: Path, config: Any = None, degrees: ToDegrees | None = None
+) -> None:
+    """Write the table of fixes to `out`, whose suffix is one of the KINDS.
+
+    config: the settings, for the origin of a Parquet file. degrees: turns positions into degrees
+    for GeoJSON; None: metres are written, as local coordinates.
+    """
+    kind = out.suffix.lower()
+    if kind == ".parquet":
+        write_frame(out, frame, provenance(config))
+    elif kind == ".csv":
+        write_atomically(out, lambda path: path.write_bytes(csv_text(frame)))
+    else:
+        write_atomically(out, lambda path: _write_lines(path, geojson(frame, degrees)))
+
+
+def csv_text(frame: pd.DataFrame, header: bool = True) -> bytes:
+    """The table as CSV in UTF-8; a cell is empty where nothing is known."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    shown = rounded(frame)
+    sink = pa.BufferOutputStream()
+    how = csv.WriteOptions(include_header=False, quoting_style="none")
+    try:
+        csv.write_csv(pa.Table.from_pandas(shown, preserve_index=False), sink, how)
+    except pa.ArrowInvalid:  # a cell needs quotes
+        return bytes(shown.to_csv(index=False, header=header, lineterminator="\n").encode())
+    names = ",".join(map(str, frame.columns)) + "\n"
+    rows: bytes = sink.getvalue().to_pybytes()
+    return names.encode() * header + rows
+
+
+def rounded(frame: pd.DataFrame) -> pd.DataFrame:
+    """The frame with lengths, angles and scores at DECIMALS."""
+    chosen = [name for name in map(str, frame.columns) if name.endswith(_LENGTHS)]
+    return frame.assign(**{name: np.round(frame[name], DECIMALS) for name in chosen})
+
+
+def geojson(frame: pd.DataFrame, degrees: ToDegrees | None) -> Iterator[str]:
+    """The lines of a GeoJSON file with a Point for each fix, without a geometry where it has no
+    position; of local coordinates, `units` is m.
+    """
+    places = frame[["x_m", "y_m"]].to_numpy(dtype=float)
+    given = np.isfinite(places).all(axis=1)
+    if degrees is not None:
+        places[given] = degrees(places[given])
+    places = np.round(places, DECIMALS + 3 * (degrees is not None))
+    yield '{"type": "FeatureCollection", '
+    yield '"units": "m", ' if degrees is None else ""
+    yield '"features": ['
+    heights = np.round(frame["z_m"].to_numpy(dtype=float), DECIMALS)
+    rows = rounded(frame).to_dict("records")
+    for i, (row, place, z) in enumerate(zip(rows, places, heights)):
+        point = [*place.tolist(), *([float(z)] if math.isfinite(z) else [])]
+        geometry = {"type": "Point", "coordinates": point} if given[i] else None
+        feature = {"type": "Feature", "properties": _plain(row), "geometry": geometry}
+        yield f"{',' if i else ''}\n{json.dumps(feature, allow_nan=False)}"
+    yield "\n]}\n"
+
+
+def _plain(row: Mapping[Any, Any]) -> dict[str, Any]:
+    """A row in the types of JSON; null where a number is not known."""
+    plain = {str(k): v.item() if isinstance(v, np.generic) else v for k, v in row.items()}
+    unknown = {k: None for k, v in plain.items() if isinstance(v, float) and not math.isfinite(v)}
+    return plain | unknown
+
+
+def _write_lines(path: Path, lines: Iterator[str]) -> None:
+    with path.open("w", encoding="utf-8") as file:
+        file.writelines(lines)

@@ -1,0 +1,71 @@
+"""Lines of u-blox direction finding (u-connectLocate), as recorded from UART, USB or UDP.
+
+    +UUDF:<tag>,<rssi>,<azimuth>,<elevation>,<rssi 2>,<channel>,"<anchor>","<text>",<ms>[,<number>]
+
+Angles in deg, the azimuth positive to the right as seen from the antenna, thus clockwise from
+above; ms since the boot of that anchor. A time of the host may stand in front. +UUDFP lines and
+other answers of the modem are not read.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from aoabench.devices.reading import Part, Rows
+from aoabench.devices.stamps import seconds
+
+MARK = "+UUDF:"
+STATED = {
+    "azimuth_unit": "deg",
+    "azimuth_sense": "clockwise",
+    "elevation_unit": "deg",
+    "elevation_kind": "elevation",
+    "time_unit": "s",
+}
+COLUMNS = (
+    "tag", "rssi_dbm", "azimuth_deg", "elevation_deg", "rssi_2_dbm", "channel", "anchor", "text",
+    "anchor_time_s", "sequence",
+)  # fmt: skip
+_ANGLE = r"(-?\d+(?:\.\d+)?|)"
+_LINE = re.compile(
+    rf'^([^\n]*?)\+UUDF:"?(\w+)"?,(-?\d+|),{_ANGLE},{_ANGLE},(-?\d+|),(\d+|),'
+    r'"([^"\n]*)","([^"\n]*)",(\d+)(?:,(\d+))?[^\S\n]*$',
+    re.M,
+)
+
+
+def is_ublox(head: str) -> bool:
+    return MARK in head
+
+
+def ublox(text: str, path: str, first: int = 1) -> Rows:
+    """The packets of a text whose first line has the number `first`; time_s only if the host's
+    times stand in front, sequence only where a line has it.
+    """
+    import pandas as pd
+
+    found = list(_LINE.finditer(text))
+    cells = list(zip(*(one.groups("") for one in found))) or [()] * (len(COLUMNS) + 1)
+    before, *values = cells
+    frame = pd.DataFrame(dict(zip(COLUMNS, map(list, values))), dtype=object)
+    for name in COLUMNS:
+        if name not in ("tag", "anchor", "text"):
+            frame[name] = pd.to_numeric(frame[name].replace("", "nan")).astype(float)
+    frame["anchor_time_s"] /= 1e3
+    if frame["sequence"].isna().all():
+        frame = frame.drop(columns="sequence")
+    times = seconds(before)
+    if times is not None:
+        frame["time_s"] = times
+    ends = np.flatnonzero(np.frombuffer(text.encode("utf-32-le"), dtype="<u4") == ord("\n"))
+    frame.index = pd.Index(np.searchsorted(ends, [one.start(2) for one in found]))
+    notes = _garbled(text, len(found), path)
+    return Rows(list(frame.columns), (Part(0, "line", first),), notes, STATED, frame)
+
+
+def _garbled(text: str, read: int, path: str) -> tuple[str, ...]:
+    """A remark on lines that are cut or garbled, as on a serial line that drops bytes."""
+    lost = text.count(MARK) - read
+    return (f"{path}: {lost} +UUDF lines are cut or garbled, and not read",) if lost > 0 else ()

@@ -1,0 +1,63 @@
+"""Recorded tracks as replications: each track is a tile of its own, with as many steps as fixes.
+
+So the results of a track depend on no other track of the recording, bit for bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+
+from aoabench.types import Anchors, Measurements, Tracks
+
+
+def random_number(tracks: Tracks, track: int) -> int:
+    """The number below 2^32 that stands for a track in the keys of the random streams.
+
+    It follows from the tag's name and the track's place among those of the tag, so that a track has
+    the same draws whichever other tags the log holds; 0, 1, ... in a log without tags.
+    """
+    tag = tracks.tags[track]
+    place = tracks.tags[:track].count(tag)
+    digest = hashlib.blake2b(tag.encode("utf-8", "surrogatepass"), digest_size=4).digest()
+    return (place + (int.from_bytes(digest, "little") if tag else 0)) % 2**32
+
+
+def fixes_of(tracks: Tracks, track: int) -> slice:
+    """The places of a track's fixes in the arrays of `tracks`."""
+    starts = tracks.starts
+    return slice(int(starts[track]), int(starts[track + 1]))
+
+
+def columns_of(tracks: Tracks, track: int) -> np.ndarray:
+    """The columns (C,) of the track's measurements: the first one of each anchor, and those further
+    ones in which the track has a measurement.
+    """
+    _, first = np.unique(tracks.columns, return_index=True)
+    if len(first) == len(tracks.columns):
+        return np.arange(len(tracks.columns))
+    some, used = fixes_of(tracks, track), np.isin(np.arange(len(tracks.columns)), first)
+    for array in tracks.measured.arrays.values():
+        used |= np.isfinite(array[some]).any(axis=0)
+    return np.flatnonzero(used)
+
+
+def measured_by(tracks: Tracks, track: int, columns: np.ndarray) -> Measurements:
+    """The measurements (1, T, C) of one track in some of the columns."""
+    some, whole = fixes_of(tracks, track), len(columns) == len(tracks.columns)
+    arrays = {
+        name: (array[some] if whole else array[some][:, columns])[None]
+        for name, array in tracks.measured.arrays.items()
+    }
+    return replace(tracks.measured, **arrays)
+
+
+def anchors_of(known: Anchors, tracks: Tracks, track: int) -> Anchors:
+    """The anchors (1, T|1, B, ...) of one track from those at all fixes of the recording, or from
+    those that stand still.
+    """
+    if not known.moving:
+        return known
+    return known.at(np.arange(*fixes_of(tracks, track).indices(len(tracks.time))))

@@ -1,0 +1,191 @@
+"""`locate` on recordings: positions, deviations, residuals, files and what it says."""
+
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import aoabench
+from aoabench.deployment import files, fixes, located, summary
+from aoabench.deployment.request import Request
+from aoabench.errors import UserError
+from aoabench.roles import PlainEstimator
+from tests.deployment.conftest import ANCHORS, POINTS, angles, rows_of
+
+
+def located_in(log, room, *settings, max_sigma_m=None, **more):
+    request = Request(str(log), str(room / "anchors.csv"), settings=settings, **more)
+    return located.locate(request.asked(), max_sigma_m)
+
+
+def test_exact_angles_give_the_points(room, log):
+    found = located_in(log(rows_of(POINTS)), room)
+    frame = found.frame
+    assert list(frame) == list(fixes.COLUMNS)
+    assert np.allclose(frame[["x_m", "y_m", "z_m"]], POINTS, atol=1e-4)
+    assert (frame["outcome"] == "ok").all()
+    assert (frame["anchors_heard"] == 4).all()
+    assert frame["residual_azimuth_deg"].max() < 1e-3
+    assert not found.with_truth
+
+
+def test_ellipses_are_the_eigenvalues_of_the_covariance(room, log, rng):
+    noisy = [angles(p, a) for p in POINTS for a in ANCHORS] + rng.normal(0, 4, (16, 2))
+    rows = [f"{i // 4},{list(ANCHORS)[i % 4]},{a},{e}" for i, (a, e) in enumerate(noisy)]
+    frame = located_in(log(rows), room).frame
+    for row in frame.to_dict("records"):
+        P = np.array([[row["cov_xx_m2"], row["cov_xy_m2"]], [row["cov_xy_m2"], row["cov_yy_m2"]]])
+        spread, axes = np.linalg.eigh(P)
+        assert np.allclose(
+            [row["sigma_minor_m"], row["sigma_major_m"]], np.sqrt(spread), rtol=1e-9, atol=0
+        )
+        along = np.radians(row["ellipse_deg"])
+        assert abs(axes[:, 1] @ [np.cos(along), np.sin(along)]) == pytest.approx(1, abs=1e-9)
+
+
+def test_residuals_are_measured_less_expected(room, log, rng):
+    noise = rng.normal(0, 3, (16, 2))
+    exact = np.array([angles(p, a) for p in POINTS for a in ANCHORS])
+    rows = [f"{i // 4},{list(ANCHORS)[i % 4]},{a},{e}" for i, (a, e) in enumerate(exact + noise)]
+    found = located_in(log(rows), room)
+    at = found.frame[["x_m", "y_m", "z_m"]].to_numpy()
+    for k, anchor, azimuth, elevation in zip(*vars(found.residuals).values()):
+        i = 4 * k + anchor
+        a, e = exact[i] + noise[i] - angles(at[k], list(ANCHORS)[anchor])
+        assert np.degrees(azimuth) == pytest.approx((a + 180) % 360 - 180, abs=1e-6)
+        assert np.degrees(elevation) == pytest.approx(e, abs=1e-6)
+    rms = np.sqrt(pd.Series(found.residuals.azimuth**2).groupby(found.residuals.fix).mean())
+    assert np.allclose(np.radians(found.frame["residual_azimuth_deg"]), rms, rtol=1e-9, atol=0)
+
+
+def test_a_lost_packet_is_one_fix_and_a_reason(room, log):
+    rows = rows_of(POINTS)
+    found = located_in(
+        log([rows[0], *rows[4:]]), room, "scenario.height_m=1.1", estimator="ls_lines"
+    )
+    outcome = found.frame["outcome"].tolist()
+    assert outcome == ["failed", "ok", "ok", "ok"]
+    text = "\n".join(summary.lines(found.frame, "ls_lines"))
+    assert "4 fixes, 3 with a position (75 %)" in text
+    assert "1 failed (25 %): fewer anchors measured" in text
+    assert "nan" not in text
+
+
+def test_max_sigma_rejects_and_keeps_the_place_for_the_map(room, log):
+    path = log(rows_of(POINTS))
+    every = located_in(path, room).frame
+    limit = every["sigma_major_m"].median()
+    found = located_in(path, room, max_sigma_m=limit)
+    away = every["sigma_major_m"] > limit
+    assert 0 < away.sum() < len(away)
+    assert (found.frame["outcome"] == np.where(away, "rejected", "ok")).all()
+    assert found.frame["x_m"].isna().equals(away)
+    assert (found.frame["reason"][away] == fixes.MAX_SIGMA).all()
+    assert np.allclose(found.rejected, every[away][["x_m", "y_m"]], atol=1e-12)
+    asked = Request(str(path), str(room / "anchors.csv")).asked()
+    bare = PlainEstimator(lambda batch, *rest: replace(asked.method(batch, *rest), covariance=None))
+    with pytest.raises(UserError, match="states no deviations"):
+        located.locate(replace(asked, method=bare), 1.0)
+
+
+def test_truth_gives_the_errors(room, log, rng):
+    off = rng.normal(0, 1, (40, 2))
+    points = np.tile(POINTS, (10, 1))
+    truth = points[:, :2] + off
+    rows = [
+        f"{row},{x!r},{y!r}"
+        for row, (x, y) in zip(rows_of(points), np.repeat(truth, 4, axis=0).tolist())
+    ]
+    rows[4:8] = [f"1,A1,0,0,{truth[1, 0]},{truth[1, 1]}"]
+    found = located_in(log(rows, "fix,anchor,azimuth_deg,elevation_deg,x_m,y_m"), room, "scenario.height_m=1.1",
+                       estimator="ls_lines")  # fmt: skip
+    error = np.hypot(*off.T)
+    error[1] = np.nan
+    got = summary.accuracy(found.frame)
+    given = error[np.isfinite(error)]
+    assert got["fixes"] == 40
+    assert got["coverage"] == 39 / 40
+    for limit in (1, 2, 5):
+        assert got[f"p_within_{limit}m"] == (error <= limit).mean()
+    assert got["rmse_xy_m"] == pytest.approx(np.sqrt((given**2).mean()), rel=1e-5)
+    for q in (50, 90, 95):
+        assert got[f"cep{q}_m"] == pytest.approx(np.percentile(given, q), rel=1e-5)
+    assert "coverage 97.5 %" in next(summary.accuracy_lines(got))
+
+
+def test_files_hold_the_same_numbers(room, log):
+    found = located_in(log(rows_of(POINTS)), room, max_sigma_m=0.45)
+    for kind in files.KINDS:
+        files.write(found.frame, room / f"out{kind}")
+    whole = pd.read_parquet(room / "out.parquet")
+    pd.testing.assert_frame_equal(whole, found.frame, check_dtype=False)
+    text = pd.read_csv(room / "out.csv", dtype={"fix": str})
+    assert np.allclose(text["x_m"], whole["x_m"], atol=1e-6, equal_nan=True)
+    document = json.loads((room / "out.geojson").read_text(), parse_constant=pytest.fail)
+    assert document["units"] == "m"
+    for feature, row in zip(document["features"], whole.to_dict("records")):
+        assert feature["properties"]["outcome"] == row["outcome"]
+        if row["outcome"] == "rejected":
+            assert feature["geometry"] is None
+        else:
+            place = feature["geometry"]["coordinates"]
+            assert place == pytest.approx([row["x_m"], row["y_m"], row["z_m"]], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("turned", "named"), [({"A2": 90.0}, "A2"), ({}, None), (dict.fromkeys(ANCHORS, 90.0), "")]
+)
+def test_large_residuals_are_said(room, log, turned, named):
+    rows = rows_of(POINTS, turned=turned)
+    found = located_in(
+        log(rows), room, "estimator.robust_ml.loss=truncated", "scenario.height_m=1.1"
+    )
+    lines = list(summary.residual_lines(found.residuals, list(ANCHORS), "counterclockwise"))
+    large = [line for line in lines if line.startswith("large residuals")]
+    if named is None:
+        assert not large
+    elif named:
+        (line,) = large
+        assert "anchor A2" in line
+        assert "-90 deg" in line
+    else:
+        assert large
+        assert "scenario.azimuth_sense" in large[-1]
+
+
+def test_mistakes_are_one_line(room, log):
+    path = log(rows_of(POINTS))
+    for words, match in [
+        ({"estimator": "ls_lines", "filter": "ekf_vmf"}, "one of them"),
+        ({"settings": ("estimator=[ls]",)}, "--estimator"),
+        ({"estimator": "robust_mll"}, "did you mean"),
+    ]:
+        with pytest.raises(UserError, match=match):
+            located_in(path, room, *words.pop("settings", ()), **words)
+    with pytest.raises(UserError, match="--anchors is missing"):
+        Request(str(path))
+    for out in ("fixes.xls", "log.csv"):
+        with pytest.raises(UserError, match="-o="):
+            files.check_out(room / out, [str(path)])
+
+
+def test_a_csv_with_any_names_reads_back(room, log):
+    found = located_in(log(rows_of(POINTS)), room).frame
+    for tag in ("a,b", 'say "x"', "two\nlines", "ü", None, "plain"):
+        frame = found.assign(tag=tag)
+        read = pd.read_csv(io.BytesIO(files.csv_text(frame)), dtype={"tag": object, "fix": object})
+        assert list(read) == list(fixes.COLUMNS)
+        assert read["tag"].replace({np.nan: None}).tolist() == [tag] * 4
+        assert np.allclose(read["sigma_major_m"], frame["sigma_major_m"], atol=1e-6)
+        assert files.csv_text(frame, header=False) == files.csv_text(frame).partition(b"\n")[2]
+
+
+def test_from_python(room, log):
+    path = log(rows_of(POINTS))
+    frame = aoabench.locate(
+        path, room / "anchors.csv", "scenario.height_m=1.1", estimator="ls_lines"
+    )
+    assert np.allclose(frame[["x_m", "y_m"]], POINTS[:, :2], atol=1e-5)

@@ -1,0 +1,344 @@
+"""Recorded tracks as replications: what a track gives depends on no other track."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import minimize
+
+from aoabench.cell import Cell, RunnerOptions
+from aoabench.config.fit import those_that_fit
+from aoabench.config.recording import as_recorded
+from aoabench.engine import recording, runner
+from aoabench.engine.block import run_block
+from aoabench.engine.draws import Draws
+from aoabench.engine.tiles import tile_of
+from aoabench.errors import BadValue
+from aoabench.estimators.anchors import RssiAnchor, SingleAnchor
+from aoabench.estimators.lines import LineLeastSquares
+from aoabench.estimators.robust import RobustLikelihood
+from aoabench.noise.recorded import Recorded as RecordedNoise
+from aoabench.roles import Estimator, Scenario
+from aoabench.store import tables
+from aoabench.types import Anchors, Estimates, Measurements, Outcome, Reason, Tracks
+
+POSITION = np.array([[0, 3, 2.3], [6, 0, 2.3], [12, 3, 2.3], [6, 6, 2.3]], dtype=float)
+ANCHORS = Anchors(POSITION, np.broadcast_to(np.eye(3), (4, 3, 3)))
+
+
+@dataclass(frozen=True)
+class Site(Scenario):
+    """A recording of some tracks in a room of four anchors, or of others."""
+
+    own: Tracks
+    anchors: Anchors = ANCHORS
+    name = "site"
+
+    @property
+    def tracks(self):
+        return self.own
+
+    @property
+    def recorded(self):
+        return self.own.measured
+
+    @property
+    def true_anchors(self):
+        return self.anchors
+
+    @property
+    def known_height_m(self):
+        return 1.1
+
+
+@dataclass(frozen=True)
+class Normals(Estimator):
+    """Positions that are random numbers of the streams."""
+
+    def __call__(self, batch, scenario, streams):
+        shape = batch.azimuth.shape[:2]
+        found = [
+            streams.estimator(i).standard_normal((shape[1], 3)) for i in range(len(batch.azimuth))
+        ]
+        return Estimates(np.stack(found), None, None, np.zeros(shape, dtype=np.int8))
+
+
+def seen(truth, rng, noise=0.05):
+    """Azimuth and elevation (T, 4) rad of positions (T, 3) m."""
+    d = truth[:, None] - POSITION
+    off = noise * rng.standard_normal((2, *d.shape[:2])) if noise else np.zeros(2)
+    azimuth = np.arctan2(d[..., 1], d[..., 0]) + off[0]
+    return azimuth, np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1])) + off[1]
+
+
+def track(tag, count, start=0.0):
+    """A walk of one tag; its data depend on the tag alone."""
+    rng = np.random.default_rng(sum(map(ord, tag)))
+    s = np.linspace(0, 1, count)
+    truth = np.stack([2 + 8 * s, 1.5 + 2 * s, np.full(count, 1.1)], axis=-1)
+    measured = Measurements(*seen(truth, rng))
+    fix = np.array([f"{tag}-{i}" for i in range(count)], dtype=object)
+    time, heard = start + 0.1 * np.arange(count), np.full(count, 4)
+    return Tracks((tag,), np.array([count]), time, fix, truth, measured, heard, np.arange(4))
+
+
+def overlaid(*each):
+    """One recording of several tracks."""
+    arrays = [one.measured.arrays for one in each]
+    measured = {name: np.concatenate([a[name] for a in arrays]) for name in arrays[0]}
+    flat = {
+        n: np.concatenate([getattr(t, n) for t in each])
+        for n in ("time", "fix", "truth", "packets")
+    }
+    tags = tuple(tag for one in each for tag in one.tags)
+    counts = np.concatenate([one.counts for one in each])
+    return Tracks(
+        tags=tags, counts=counts, measured=Measurements(**measured), columns=np.arange(4), **flat
+    )
+
+
+METHODS = {"lines": LineLeastSquares(), "robust": RobustLikelihood(), "normals": Normals()}
+
+
+def block(tracks, methods=METHODS, span=None, **kwargs):
+    stop = len(tracks.counts)
+    return run_block(
+        Site(tracks, **kwargs), RecordedNoise(), methods, 1, *(span or (0, stop)), steps=True
+    )
+
+
+def without(rows, *names):
+    return {name: list(map(str, value)) for name, value in rows.items() if name not in names}
+
+
+EACH = [track("T1", 7), track("T2", 12, 3.0), track("T10", 1)]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_overlaid_tags_are_the_single_ones_bit_for_bit(order):
+    """Whatever the other tracks are and how long; so are random draws."""
+    both = block(overlaid(*(EACH[i] for i in order)))
+    for place, i in enumerate(order):
+        alone = block(EACH[i])
+        for name in METHODS:
+            for kind in ("rows", "steps"):
+                mine = both[name][kind]["replication"] == place
+                found = {k: v[mine] for k, v in both[name][kind].items()}
+                assert without(found, "replication") == without(alone[name][kind], "replication")
+
+
+def test_the_draws_of_tags_differ_and_those_of_a_nameless_one_are_of_its_number():
+    steps = block(overlaid(EACH[0], replace(EACH[0], tags=("T7",))))["normals"]["steps"]
+    first, second = np.split(steps["x_m"], 2)
+    assert not np.isin(first, second).any()
+    nameless = overlaid(*(replace(one, tags=("",)) for one in EACH))
+    assert [recording.random_number(nameless, i) for i in range(3)] == [0, 1, 2]
+    twice = overlaid(EACH[0], EACH[1], EACH[0])
+    numbers = [recording.random_number(twice, i) for i in range(3)]
+    assert len(set(numbers)) == 3
+    assert numbers[2] == numbers[0] + 1
+
+
+def test_steps_and_replications_name_tag_fix_and_time():
+    steps = block(overlaid(*EACH))["lines"]["steps"]
+    assert steps["tag"].tolist() == ["T1"] * 7 + ["T2"] * 12 + ["T10"]
+    assert steps["fix"].tolist() == [name for one in EACH for name in one.fix]
+    assert steps["time_s"].tolist() == [t for one in EACH for t in one.time]
+    assert steps["step"].tolist() == [*range(7), *range(12), 0]
+    rows = block(overlaid(*EACH))["lines"]["rows"]
+    assert rows["tag"].tolist() == ["T1", "T2", "T10"]
+    assert rows["n_fixes"].tolist() == [7, 12, 1]
+    part = block(overlaid(*EACH), span=(1, 2))["lines"]["steps"]
+    assert set(part["tag"]) == {"T2"}
+    assert set(part["replication"]) == {1}
+    unknown = replace(EACH[0], time=np.full(7, np.nan), tags=("",))
+    steps = block(unknown)["lines"]["steps"]
+    assert np.isnan(steps["time_s"]).all()
+    assert set(steps["tag"]) == {None}
+
+
+def test_a_batch_has_the_tracks_times_or_none():
+    drawn = Draws(Site(overlaid(*EACH)), RecordedNoise(), 0)
+    for i, one in enumerate(EACH):
+        truth, batch = drawn.tile(i, 1)
+        np.testing.assert_array_equal(batch.time[0], one.time)
+        np.testing.assert_array_equal(truth[0], one.truth)
+    timeless = Site(replace(EACH[0], time=np.full(7, np.nan)))
+    assert Draws(timeless, RecordedNoise(), 0).tile(0, 1)[1].time is None
+    assert tile_of(LineLeastSquares(), timeless) == 1
+    with pytest.raises(ValueError, match="one track"):
+        drawn.tile(0, 2)
+
+
+def doubled(one, times):
+    """The track with each packet of anchor 0 measured several times, in further columns."""
+    arrays, columns = {}, np.append(np.arange(4), np.zeros(times - 1, dtype=int))
+    for name, array in one.measured.arrays.items():
+        arrays[name] = array[:, columns]
+    return replace(one, measured=Measurements(**arrays), columns=columns)
+
+
+def test_several_packets_of_an_anchor_are_columns_of_their_own():
+    """Three equal packets of anchor 0 weigh three times; the optimum is SciPy's."""
+    one = EACH[1]
+    thrice = Draws(Site(doubled(one, 3)), RecordedNoise(), 0).tile(0, 1)[1]
+    assert thrice.numbers.tolist() == [[[0, 1, 2, 3, 0, 0]]]
+    np.testing.assert_array_equal(thrice.anchors.position[0, 0], POSITION[[0, 1, 2, 3, 0, 0]])
+    found = RobustLikelihood(loss="normal")(thrice, Site(one), None).position[0]
+    weights, m = np.array([3, 1, 1, 1]), one.measured
+    for i, start in enumerate(one.truth):
+
+        def loss(xy, i=i):
+            azimuth, elevation = seen(np.array([[*xy, 1.1]]), None, 0.0)
+            off = np.angle(np.exp(1j * (m.azimuth[i] - azimuth[0]))) / 6
+            return weights @ (off**2 + ((m.elevation[i] - elevation[0]) / 12) ** 2)
+
+        best = minimize(loss, start[:2], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 0})
+        np.testing.assert_allclose(found[i, :2], best.x, atol=1e-5)
+
+
+def test_columns_that_only_other_tracks_use_are_left_out():
+    """So a track that shares a log with one of more packets is the same as alone."""
+    more = doubled(EACH[1], 3)
+    pad = {
+        n: np.pad(a, ((0, 0), (0, 2)), constant_values=np.nan)
+        for n, a in EACH[0].measured.arrays.items()
+    }
+    fewer = replace(EACH[0], measured=Measurements(**pad), columns=more.columns)
+    both = replace(overlaid(fewer, more), columns=more.columns)
+    found, alone = block(both)["robust"]["steps"], block(EACH[0])["robust"]["steps"]
+    mine = found["tag"] == "T1"
+    assert without({k: v[mine] for k, v in found.items()}) == without(alone)
+
+
+def test_an_anchor_is_chosen_by_its_number_whatever_its_column():
+    one = EACH[0]
+    order = np.array([2, 0, 3, 1])
+    arrays = {n: a[:, order] for n, a in one.measured.arrays.items()}
+    mixed = replace(one, measured=Measurements(**arrays), columns=order)
+    for anchor in (1, 2, 3, 4):
+        found, expected = (
+            block(t, {"a": SingleAnchor(anchor=anchor)})["a"]["steps"] for t in (mixed, one)
+        )
+        np.testing.assert_array_equal(found["x_m"], expected["x_m"])
+
+
+def test_receivers_that_move_have_the_poses_of_the_tracks_own_fixes():
+    tracks = overlaid(*EACH)
+    F = len(tracks.time)
+    drift = np.zeros((1, F, 4, 3))
+    drift[..., 0] = np.arange(F)[:, None]
+    anchors = Anchors(POSITION + drift, np.broadcast_to(np.eye(3), (1, F, 4, 3, 3)))
+    shifted = replace(tracks, truth=tracks.truth + drift[0, :, 0])
+    steps, still = (
+        block(t, {"l": LineLeastSquares()}, anchors=a)["l"]["steps"]
+        for t, a in ((shifted, anchors), (tracks, ANCHORS))
+    )
+    np.testing.assert_allclose(steps["x_m"] - np.arange(F), still["x_m"], atol=1e-9)
+    np.testing.assert_allclose(steps["error_xy_m"], still["error_xy_m"], atol=1e-9)
+
+
+def cell(tracks, out, methods, **options):
+    site = Site(tracks)
+    config = {
+        "scenario": {},
+        "noise": {},
+        "filter": None,
+        "estimator": {key: {} for key in methods},
+    }
+    return Cell(
+        "site",
+        "recorded",
+        site,
+        RecordedNoise(),
+        methods,
+        1,
+        len(tracks.counts),
+        RunnerOptions(str(out), n_jobs=1, **options),
+        config,
+    )
+
+
+def test_a_run_of_ragged_tracks_counts_every_fix(tmp_path):
+    """Tables against sums over the steps; and the same rows in any chunks."""
+    lost = replace(
+        EACH[1],
+        measured=Measurements(
+            *(
+                np.where(np.arange(12)[:, None] == 5, np.nan, a)
+                for a in EACH[1].measured.arrays.values()
+            )
+        ),
+    )
+    tracks = overlaid(EACH[0], lost, EACH[2])
+    methods = {"lines": METHODS["lines"], "robust": METHODS["robust"]}
+    shown = []
+    for chunk in (1, 3):
+        out = tmp_path / str(chunk)
+        runner.run([cell(tracks, out, methods, chunk=chunk)], progress=False)
+        steps = pd.read_parquet(out / "steps.parquet")
+        shown.append(steps.drop(columns="cell"))
+        mine = steps[steps["estimator"] == "lines"]
+        assert len(mine) == 20
+        summary = tables.shown(out, "summary")["summary"].set_index("estimator").loc["lines"]
+        given = mine[mine["outcome"] == "ok"]["error_xy_m"]
+        assert len(given) == 19
+        assert summary["availability"] == summary["share_ok"] == pytest.approx(19 / 20)
+        assert summary["cep50_m"] == pytest.approx(np.quantile(given, 0.5))
+        assert summary["p_within_1m"] == pytest.approx((given <= 1).sum() / 20)
+        assert summary["rmse_pooled_xy_m"] == pytest.approx(np.sqrt((given**2).mean()))
+        assert summary["share_unmeasured"] == pytest.approx(1 / 20)
+        assert (mine.loc[mine["n_unmeasured"] == 1, "fix"] == "T2-5").all()
+    pd.testing.assert_frame_equal(*shown)
+
+
+def test_all_tracks_are_run_unless_reps_is_typed():
+    plain, choices = {"reps": 100, "scenario": {}}, {"noise": "vmf"}
+    site = Site(overlaid(*EACH))
+    found, named, notes = as_recorded(plain, choices, site, ())
+    assert (found["reps"], named["noise"], notes) == (3, "recorded", ())
+    found, _, (note,) = as_recorded({**plain, "reps": 2}, choices, site, ("reps",))
+    assert found["reps"] == 2
+    assert note == "reps=2: only the first 2 of 3 tracks are run"
+    found, _, (note,) = as_recorded(plain, choices, site, ("reps",))
+    assert found["reps"] == 3
+    assert note == "reps=100 is taken as 3: a recording of 3 tracks are 3 replications"
+
+
+def test_methods_that_cannot_run_are_left_out_with_their_reason():
+    site = Site(EACH[0])
+    some = {"estimator.rssi": RssiAnchor(), "estimator.lines": LineLeastSquares()}
+    some |= {"estimator.ninth": SingleAnchor(anchor=9)}
+    choices = {"scenario": "recorded", "noise": "recorded"}
+    fit, lines = those_that_fit(some, site, RecordedNoise(), choices)
+    assert list(fit) == ["estimator.lines"]
+    assert lines[0].startswith(
+        "estimator.rssi does not run: it needs a recording that measures signal"
+    )
+    assert lines[1].startswith(
+        "estimator.ninth does not run: estimator.ninth.anchor=9 is not allowed"
+    )
+    with pytest.raises(BadValue, match=r"estimator\.ninth\.anchor"):
+        those_that_fit(some, site, RecordedNoise(), choices, ("estimator.ninth.anchor",))
+    del some["estimator.lines"]
+    with pytest.raises(BadValue, match=r"which estimator\.rssi needs"):
+        those_that_fit(some, site, RecordedNoise(), choices)
+
+
+def test_a_plain_recording_is_one_track():
+    class Old(Site):
+        tracks = Scenario.tracks
+
+        def truth(self, rng):
+            return self.own.truth
+
+    found = Old(EACH[0]).tracks
+    assert found.counts.tolist() == [7]
+    assert found.tags == ("",)
+    steps = run_block(Old(EACH[0]), RecordedNoise(), {"l": LineLeastSquares()}, 1, 0, 1, True)["l"][
+        "steps"
+    ]
+    np.testing.assert_array_equal(steps["x_m"], block(EACH[0])["lines"]["steps"]["x_m"])
+    assert Outcome.FAILED not in steps["outcome"]
+    assert Reason.NONE == 0
