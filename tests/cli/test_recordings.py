@@ -107,7 +107,8 @@ def test_tags_have_errors_of_their_own(call, files):
 
 def test_a_method_that_a_recording_does_not_suit_is_left_out(call, files):
     words = files(log({"T1": 5}).drop(columns=["x_m", "y_m", "z_m"]))
-    status, out, err = call("run", *words, "estimator=[rssi_anchor,ls_lines]", "filter=[ekf_vmf]")
+    some = "estimator=[rssi_anchor,ls_lines]", "filter=[ekf_vmf]", "scenario.motion=null"
+    status, out, err = call("run", *words, *some)
     assert status == 0
     assert "estimator.rssi_anchor does not run: it needs a recording" in err
     assert "filter.ekf_vmf does not run: it needs a recording with a motion model" in err

@@ -20,6 +20,7 @@ from aoabench.estimators.lines import LineLeastSquares
 from aoabench.estimators.robust import RobustLikelihood
 from aoabench.filters.kalman import EKF, UKF
 from aoabench.filters.particle import ParticleFilter
+from aoabench.maths.intervals import rate_interval
 from aoabench.models.motion import ConstantVelocity, RandomWalk
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.recorded import Recorded as RecordedNoise
@@ -262,8 +263,13 @@ def cell(tracks, out, methods, **options):
     )
 
 
-def test_a_run_of_ragged_tracks_counts_every_fix(tmp_path):
-    """Tables against sums over the steps; and the same rows in any chunks."""
+@pytest.mark.parametrize("places", [True, False])
+def test_a_run_of_ragged_tracks_counts_every_fix(tmp_path, monkeypatch, places):
+    """Tables against sums over the steps; and the same rows in any chunks. With places of their
+    fixes, errors are clustered by position, else, in very long recordings, by track.
+    """
+    if not places:
+        monkeypatch.setattr(recording, "_MOST_PLACES", 0)
     lost = replace(
         EACH[1],
         measured=Measurements(
@@ -290,6 +296,16 @@ def test_a_run_of_ragged_tracks_counts_every_fix(tmp_path):
         assert summary["cep50_m"] == pytest.approx(np.quantile(given, 0.5))
         assert summary["p_within_1m"] == pytest.approx((given <= 1).sum() / 20)
         assert summary["rmse_pooled_xy_m"] == pytest.approx(np.sqrt((given**2).mean()))
+        assert summary["se_by"] == ("position" if places else "replication")
+        hits = np.array([(one["error_xy_m"] <= 1).sum() for _, one in mine.groupby("replication")])
+        if not places:
+            share, n = hits.sum() / 20, np.array([7, 12, 1])
+            se = np.sqrt(3 / 2 * (((hits - share * n) / 20) ** 2).sum())
+            expected = rate_interval(
+                share * share * (1 - share) / se**2, share * (1 - share) / se**2
+            )
+            found = summary["p_within_1m_low"], summary["p_within_1m_high"]
+            np.testing.assert_allclose(found, expected)
         assert summary["share_unmeasured"] == pytest.approx(1 / 20)
         assert (mine.loc[mine["n_unmeasured"] == 1, "fix"] == "T2-5").all()
     pd.testing.assert_frame_equal(*shown)
