@@ -210,6 +210,8 @@ def test_columns_that_only_other_tracks_use_are_left_out():
     }
     fewer = replace(EACH[0], measured=Measurements(**pad), columns=more.columns)
     both = replace(overlaid(fewer, more), columns=more.columns)
+    tiles = [Draws(Site(both), RecordedNoise(), 0).tile(i, 1)[1] for i in range(2)]
+    assert [batch.azimuth.shape[2] for batch in tiles] == [4, 6]
     found, alone = block(both)["robust"]["steps"], block(EACH[0])["robust"]["steps"]
     mine = found["tag"] == "T1"
     assert without({k: v[mine] for k, v in found.items()}) == without(alone)
@@ -274,7 +276,7 @@ def test_a_run_of_ragged_tracks_counts_every_fix(tmp_path, monkeypatch, places):
         EACH[1],
         measured=Measurements(
             *(
-                np.where(np.arange(12)[:, None] == 5, np.nan, a)
+                np.where(np.arange(12)[:, None] == 10, np.nan, a)
                 for a in EACH[1].measured.arrays.values()
             )
         ),
@@ -307,7 +309,7 @@ def test_a_run_of_ragged_tracks_counts_every_fix(tmp_path, monkeypatch, places):
             found = summary["p_within_1m_low"], summary["p_within_1m_high"]
             np.testing.assert_allclose(found, expected)
         assert summary["share_unmeasured"] == pytest.approx(1 / 20)
-        assert (mine.loc[mine["n_unmeasured"] == 1, "fix"] == "T2-5").all()
+        assert (mine.loc[mine["n_unmeasured"] == 1, "fix"] == "T2-10").all()
     pd.testing.assert_frame_equal(*shown)
 
 
