@@ -265,6 +265,16 @@ def test_a_wide_table_equals_the_long_one(azimuth, elevation, given, rng, here):
     assert table.at(1, "elevation") == f"line 2 has {elevation.format('b_2')}={values[0, 1, 1]}"
 
 
+def test_rows_of_a_wide_table_without_an_order_are_fixes(here):
+    for file in ("a.csv", "b.csv"):
+        Path(file).write_text("azimuth_1,azimuth_2\n10,20\n30,40\n")
+    chosen = {"fix": "fix", "anchor": "anchor", "azimuth": "azimuth_deg"}
+    assert read("a.csv", chosen).texts("fix")[1] == ["1", "2"]
+    both = read(["a.csv", "b.csv"], chosen)
+    assert both.texts("fix")[1] == ["a 1", "a 2", "b 1", "b 2"]
+    assert both.numbers("azimuth").tolist() == [10, 20, 30, 40] * 2
+
+
 @pytest.mark.parametrize("names", [
     ["fix", "anchor", "azimuth_A1", "azimuth_A2"], ["fix", "azimuth_deg", "azimuth_sigma_deg", "azimuth_true_deg"],
     ["fix", "azimuth_deg", "elevation_deg"], ["azimuth_A1", "b"],
