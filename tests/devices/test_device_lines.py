@@ -178,3 +178,13 @@ def test_a_stream_that_is_no_log():
     assert live.feed(b"x" * (1 << 24)) is None
     with pytest.raises(BadValue, match="its lines do not end"):
         live.feed(b"x")
+
+
+def test_times_of_day_go_on_after_midnight_from_piece_to_piece():
+    live, found = Live("path", "-"), []
+    for time in ("23:59:59.5", "00:00:00.5", "10:00:00", "20:00:00", "23:59:59", "00:00:01"):
+        found.append(live.feed(f"{time} {LINE}\n".encode()).frame["time_s"].iloc[0])
+    day = 86400
+    np.testing.assert_allclose(
+        found, [day - 0.5, day + 0.5, day + 36000, day + 72000, 2 * day - 1, 2 * day + 1]
+    )
