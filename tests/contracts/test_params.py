@@ -55,6 +55,8 @@ OTHERS = {
     "RobustLikelihood.height_m": "free",
     "RobustLikelihood.azimuth_sigma_deg": "another default",
     "RobustLikelihood.elevation_sigma_deg": "null where only azimuths are used",
+    "ConstantVelocity.q_xy": "of a velocity",
+    "ConstantVelocity.q_z": "of a velocity",
     "ParticleFilter.engine": "double",
 }
 
