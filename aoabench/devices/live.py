@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 
 from aoabench.devices.delimited import Delimited, following
+from aoabench.devices.dialects import shows_marks
 from aoabench.devices.foreign import reason_of
 from aoabench.devices.formats import DEVICES, looks_like, text_content
 from aoabench.devices.reading import AUTO, Content, Reading, Rows
@@ -55,7 +56,7 @@ class Live:
         if not self._format:
             head = self._rest[: self._rest.rfind(b"\n") + 1]
             looks = looks_like(head.decode(errors="replace"))
-            if looks == "table" and sum(bool(one.strip()) for one in head.splitlines()) < 2:
+            if looks == "table" and not shows_marks(head):
                 return b""  # a header alone shows neither separator nor decimal mark
             self._format = looks
         end = self._rest.rfind(b"\n") + 1

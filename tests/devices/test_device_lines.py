@@ -147,6 +147,7 @@ STREAMS = {
     "csv": CSV,
     "comments": CSV.replace("1.5\n", "1.5\n# lost the link, 3 times\n"),
     "semicolons": CSV.replace(",", ";").replace(".", ","),
+    "preamble": "# made by x\n# version 2\nsep=;\n\n" + CSV.replace(",", ";").replace(".", ","),
     "jsonl": "".join(
         json.dumps({"anchor": f"a{i}", "azimuth_deg": i / 2}) + "\n" for i in range(9)
     ),
