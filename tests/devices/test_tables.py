@@ -111,6 +111,14 @@ def test_names_for_a_file_without_them(rows, here):
         read(header=("fix",))
 
 
+def test_decimal_commas_without_names(rows, here):
+    rows = rows.fillna(0.5)
+    text = rows.to_csv(index=False, header=False, sep=";", decimal=",")
+    assert all(line.count(",") == 2 for line in text.splitlines())
+    Path("log.csv").write_text(text)
+    check(read(header=tuple(NAMES)), rows)
+
+
 def test_dates_and_texts_are_no_decimal_commas(here):
     Path("log.csv").write_text('time;anchor;azimuth\n2024-05-01T10:00:00,5;"1,5";10\n')
     table = read(names={"anchor": "anchor", "azimuth": "azimuth"})
