@@ -144,6 +144,35 @@ def test_a_linear_model_equals_the_exact_filter(make, rng):
             assert np.allclose(found.covariance[i, k], P[:3, :3], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("make", FILTERS[:2])
+def test_packets_of_one_time_are_one_step(make, rng):
+    """A linear model: each packet as a step of its own, or all in one; those of a time last count."""
+    R, m, motion = 2, 4, MOTIONS[1]
+    H, r = rng.normal(size=(m, 6)), rng.uniform(0.1, 2.0, m)
+    y, time = rng.normal(size=(R, T, m)), np.cumsum(rng.uniform(0.1, 1, (R, T)), axis=1)
+    at = Anchors(np.zeros((1, 3)), np.eye(3)[None])
+    method, place = make(Linear(tuple(map(tuple, H)), tuple(r))), Track(at, motion=motion)
+    prior = {"prior_mean": rng.normal(size=(R, 6)), "prior_cov": np.eye(6) + 0.2}
+    one = Batch(y[..., :2], y[..., 2:], at, time=time, **prior)
+    each = np.where(np.eye(m, dtype=bool), y[:, :, None], np.nan).reshape(R, T * m, m)
+    alone = Batch(each[..., :2], each[..., 2:], at, time=np.repeat(time, m, axis=1), **prior)
+    once, apart = (method(b, place, streams(R)) for b in (one, alone))
+    assert np.allclose(apart.position[:, m - 1 :: m], once.position, rtol=1e-9, atol=1e-10)
+    assert np.allclose(apart.covariance[:, m - 1 :: m], once.covariance, rtol=1e-9, atol=1e-10)
+
+
+def test_a_motion_that_takes_no_arrays_is_named(anchors):
+    class Scalar(RandomWalk):
+        def matrices(self, dt):
+            return np.eye(3), np.ones((2, 3, 3)) * np.mean(dt)
+
+    nothing = np.full((1, 3, B), np.nan)
+    batch = Batch(nothing, nothing, anchors, prior_mean=np.zeros((1, 3)), prior_cov=np.eye(3),
+                  time=np.array([[1.0, 2.0, 4.0]]))  # fmt: skip
+    with pytest.raises(ValueError, match=r"Scalar.matrices must return F and Q \(\.\.\., 3, 3\)"):
+        believed(batch, Track(anchors, motion=Scalar()))
+
+
 @OF_MOTION
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("R", [1, 3, 70])
