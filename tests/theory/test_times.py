@@ -13,7 +13,7 @@ from aoabench.filters.particle import ParticleFilter
 from aoabench.maths.geometry import LIGHT
 from aoabench.maths.times import elapsed
 from aoabench.models.azel import AzEl
-from aoabench.models.motion import ConstantAcceleration, ConstantVelocity, RandomWalk
+from aoabench.models.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, motion_of
 from aoabench.models.unit_vector import UnitVector
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch
@@ -98,6 +98,13 @@ def test_matrices_are_those_of_the_differential_equation(motion):
     F, Q = motion.matrices(dt)
     assert np.allclose(F, M[n:, n:].T, rtol=1e-13, atol=1e-13)
     assert np.allclose(Q, F @ M[:n, n:], rtol=1e-12, atol=1e-14)
+
+
+def test_motions_by_name():
+    assert motion_of("random_walk") == RandomWalk()
+    assert motion_of("constant_velocity") == ConstantVelocity()
+    assert motion_of(None) is None
+    assert motion_of(MOTIONS[2]) is MOTIONS[2]
 
 
 def test_elapsed_time():
