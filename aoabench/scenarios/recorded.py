@@ -28,6 +28,7 @@ from aoabench.devices.truth import read_truth
 from aoabench.errors import BadValue, check_array, listed
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
+from aoabench.models.motion import motion_of
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
 from aoabench.scenarios.log_parameters import LogParameters
@@ -63,6 +64,7 @@ class Recorded(LogParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "motion", motion_of(self.motion))
         if self.heading_deg is not None and (self.measured_by, self.frame) != ("mobile", "own"):
             raise BadValue(
                 "heading_deg",
