@@ -177,7 +177,9 @@ def _figures(out: Path, cells: Iterable[Cell]) -> Iterator[Path]:
             import numpy as np
 
             from aoabench.report import campaign
+            from aoabench.report.text import shown_name
 
             truth = scenario.truth(np.random.default_rng(0))[:, :2]
             places = truth, scenario.true_anchors.frames[0][0, :, :2], scenario.bounds_m
-            yield from campaign.write(out, cell.id, list(cell.estimators), *places)
+            names = {n: shown_name(n, e.causal) for n, e in cell.estimators.items()}
+            yield from campaign.write(out, cell.id, names, *places)

@@ -29,7 +29,7 @@ class Replay:
     iterations; the measurements of anchor j (azimuth_<j>_rad, elevation_<j>_rad, delay_<j>_s,
     rssi_<j>_dbm); the columns of the estimator's own `trace`: innovation_<j>_<component>, ess.
     batch and truth (1, T, n) hold this replication alone. rmse_3d_m is computed now, stored_m is
-    stored in the run. error: the reason of a failure, or "".
+    stored in the run. error: the reason of a failure, or "". causal: see `Estimator`.
     """
 
     run: Path
@@ -43,6 +43,7 @@ class Replay:
     rmse_3d_m: float
     stored_m: float
     error: str = ""
+    causal: bool = True
 
     @property
     def as_stored(self) -> bool:
@@ -86,6 +87,7 @@ def replay(
         run=run,
         record=record,
         estimator=estimator,
+        causal=method.causal,
         replication=replication,
         scenario=scenario,
         columns=columns,

@@ -13,6 +13,7 @@ import pandas as pd
 from aoabench.devices import longtable
 from aoabench.engine.replay import Replay
 from aoabench.report import plots, trace
+from aoabench.report.text import shown_name
 from aoabench.store.files import provenance, schema, write_atomically, write_table
 
 
@@ -49,7 +50,7 @@ def _summary(replay: Replay) -> str:
 def _picture(replay: Replay, path: Path) -> Path:
     record, scenario = replay.record, replay.scenario
     title = (
-        f"{record['scenario']}, {record['noise']}: {replay.estimator}, "
+        f"{record['scenario']}, {record['noise']}: {shown_name(replay.estimator, replay.causal)}, "
         f"replication {replay.replication}, RMSE {replay.rmse_3d_m:.3g} m"
     )
     anchors = scenario.true_anchors.position[0, 0]

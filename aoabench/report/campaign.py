@@ -7,7 +7,7 @@ Errors are in m, NaN where a method gave no position.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ SCALE = "cividis"  # uniform in lightness, readable by colour-blind readers
 def write(
     out: Path,
     cell: str,
-    estimators: Sequence[str],
+    estimators: Mapping[str, str],
     truth: np.ndarray,
     anchors: np.ndarray,
     bounds: Any = None,
@@ -37,13 +37,13 @@ def write(
     """Draw <out>/figures/<cell>-cdf.png and -median_map.png from a run's stored fixes, and return
     their paths; [] without ground truth.
 
-    truth (T, 2) m, the same in all replications, NaN where unknown; anchors (B, 2) m; bounds (2, 2)
-    m or None.
+    estimators: the names to show by those stored. truth (T, 2) m, the same in all replications, NaN
+    where unknown; anchors (B, 2) m; bounds (2, 2) m or None.
     """
     known = np.isfinite(truth).all(axis=1)
     if not known.any():
         return []
-    errors = {name: _errors(out, cell, name)[:, known] for name in estimators}
+    errors = {shown: _errors(out, cell, n)[:, known] for n, shown in estimators.items()}
     flat = {n: e.ravel() for n, e in errors.items()}
     distribution, where = (out / "figures" / f"{cell}-{n}.png" for n in ("cdf", "median_map"))
     return [
