@@ -77,15 +77,13 @@ def replay(
     method = as_estimator(construct(node, estimator, plugins), estimator)
     draws = Draws(scenario, noise, record["seed"])
     size = tile_of(method, scenario)
-    first = replication - replication % size
-    i = replication - first
+    first, i = replication - replication % size, replication % size
     truth, estimates, errors = try_tile(draws, method, first)
     _, batch = draws.tile(first, size)
     track = None if draws.tracks is None else Identity.of(draws.tracks, replication)
     columns = _named(track, batch) | _estimated(truth[i], estimates, i) | _measured(batch, i)
     if replication not in errors:
-        streams = draws.streams(tuple(range(first, first + size)))
-        traced = method.trace(batch, scenario, streams)
+        traced = method.trace(batch, scenario, draws.streams(tuple(range(first, first + size))))
         columns |= {name: np.asarray(value)[i] for name, value in traced.items()}
     rmse = metrics.per_replication(estimates, truth[..., :3])["rmse_3d_m"][i]
     return Replay(
