@@ -27,6 +27,7 @@ from aoabench.noise.angular import FlippedAngles
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome, Reason
 from tests.helpers import Place
+from tests.theory import test_laws_of_filters as laws
 from tests.theory.test_kalman import ConstantVelocity, Line, linear_problem
 
 R, T = 5, 12
@@ -284,6 +285,19 @@ def test_squared_errors_agree_with_the_covariances(make, n):
     assert np.all(
         (nees[:, [0, 7, 14]].mean(axis=0) > low) & (nees[:, [0, 7, 14]].mean(axis=0) < high)
     )
+
+
+EXACT = {"shift": 1e-6, "permuted": 1e-8, "rotation": 1e-8, "scale": 1e-8}  # m
+
+
+@pytest.mark.parametrize("law", EXACT)
+@pytest.mark.parametrize("h", MODELS.values(), ids=MODELS)
+@pytest.mark.parametrize("n", [3, 6])
+def test_a_moved_problem_gives_the_moved_track(law, h, n):
+    given = laws.problem(n)
+    for smoother in (RTSSmoother(EKF(h)), MAPSmoother(h, tolerance=1e-12)):
+        before, after = laws.run(smoother, *given), laws.run(smoother, *laws.LAWS[law](*given))
+        assert np.abs(laws.BACK[law](after.position) - before.position).max() < EXACT[law]
 
 
 @pytest.mark.parametrize("engine", ["auto", "numpy"])
