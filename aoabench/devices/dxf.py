@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection
+from dataclasses import replace
 from io import BytesIO
 from typing import Any
 
@@ -23,9 +24,10 @@ _UNITS = {1: "in", 2: "ft", 4: "mm", 5: "cm", 6: "m"}  # of $INSUNITS
 _SAG_M = 0.01
 
 
-def read_drawing(content: bytes, layers: Collection[str] | None = None) -> Drawing:
-    """The content of a DXF file; `layers` are those of the walls, upper and lower case alike, None:
-    all that are visible. Lines of layers called door, opening and so on are doors.
+def read_drawing(content: bytes, file: str, layers: Collection[str] | None = None) -> Drawing:
+    """The content of a DXF file, which remarks call `file`; `layers` are those of the walls, upper
+    and lower case alike, None: all that are visible. Lines of layers called door, opening and so on
+    are doors.
 
     Raises ValueError for content that is not DXF or lacks one of the layers, and without the
     library ezdxf; its message says what is allowed.
@@ -40,11 +42,14 @@ def read_drawing(content: bytes, layers: Collection[str] | None = None) -> Drawi
         document, _ = recover.read(BytesIO(content))
     except (OSError, ezdxf.DXFError, ValueError, IndexError, KeyError) as error:
         raise ValueError(f"a readable DXF file; {shorten(str(error), 80)}") from None
-    return _content(document, None if layers is None else {one.strip().lower() for one in layers})
+    wanted = None if layers is None else {one.strip().lower() for one in layers}
+    found, used = _content(document, wanted)
+    line = f"{file}: walls of the layers {listed(sorted(used))}"
+    return replace(found, notes=(line,)) if wanted is None and used else found
 
 
-def _content(document: Any, wanted: set[str] | None) -> Drawing:
-    """The drawing in an ezdxf document."""
+def _content(document: Any, wanted: set[str] | None) -> tuple[Drawing, Counter[str]]:
+    """The drawing in an ezdxf document, and the number of lines in each layer that is read."""
     from ezdxf.disassemble import recursive_decompose
 
     hidden = {one.dxf.name.lower() for one in document.layers if one.is_off() or one.is_frozen()}
@@ -71,8 +76,7 @@ def _content(document: Any, wanted: set[str] | None) -> Drawing:
     if missing:
         present = listed(sorted({one.dxf.name for one in document.layers}))
         raise ValueError(f"a drawing with lines in the layers {listed(missing)}; it has {present}")
-    notes = [f"walls of the layers {listed(sorted(used))}"] if wanted is None and used else []
-    return Drawing(lines, doors, default_unit=unit, ignored=ignored, notes=tuple(notes))
+    return Drawing(lines, doors, default_unit=unit, ignored=ignored), used
 
 
 def _flat(entity: Any, sag: float) -> list[Array]:

@@ -68,8 +68,9 @@ class _Part(NamedTuple):
         return None
 
 
-def read_drawing(text: str, layers: Collection[str] | None = None) -> Drawing:
-    """The content of a GeoJSON text; `layers` are the words of the features to read, None: all.
+def read_drawing(text: str, file: str, layers: Collection[str] | None = None) -> Drawing:
+    """The content of a GeoJSON text, which remarks call `file`; `layers` are the words of the
+    features to read, None: all.
 
     Raises ValueError for content that is not GeoJSON or has broken coordinates; its message says
     what is allowed.
@@ -102,7 +103,7 @@ def read_drawing(text: str, layers: Collection[str] | None = None) -> Drawing:
             lines += _lines(part)
             levels[str(part.properties.get("level", ""))] = None
     names = [level for level in levels if level]
-    notes = (f"the levels {listed(names)} are read as one floor",) if len(names) > 1 else ()
+    notes = (f"{file}: the levels {listed(names)} are read as one floor",) if len(names) > 1 else ()
     node = _mapping(content)
     unit = node.get("units")
     stated = unit if unit is None or isinstance(unit, str) else repr(unit)

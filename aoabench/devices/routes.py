@@ -56,9 +56,13 @@ def read_route(key: str, path: Path, origin: Origin | None) -> Route:
     two waypoints.
     """
     kind = path.suffix.lower()
-    if kind not in (".csv", ".gpx"):
+    if kind not in (*plan.TABLES, ".gpx"):
         raise BadValue(key, str(path), "waypoints [x, y] in m, or a file .csv or .gpx")
-    geodetic, points = _gpx(key, path) if kind == ".gpx" else _csv(key, path)
+    notes: tuple[str, ...] = ()
+    if kind == ".gpx":
+        geodetic, points = True, _gpx(key, path)
+    else:
+        geodetic, points, notes = _table(key, path)
     if geodetic:
         lat, lon = points.T
         check_degrees(key, str(path), lat, lon, origin)
@@ -74,7 +78,7 @@ def read_route(key: str, path: Path, origin: Origin | None) -> Route:
         raise BadValue(key, str(path), "two or more different waypoints")
     left = int((~keep).sum())
     line = f"{path.name}: {left} waypoints less than {SAME_M:g} m from the one before are left out"
-    return Route(points[keep], geodetic, (line,) if left else ())
+    return Route(points[keep], geodetic, (*notes, line) if left else notes)
 
 
 def _distinct(points: Array) -> np.ndarray:
@@ -87,21 +91,24 @@ def _distinct(points: Array) -> np.ndarray:
     return keep
 
 
-def _csv(key: str, path: Path) -> tuple[bool, Array]:
-    """Whether a table's waypoints (K, 2) are latitudes and longitudes, and the waypoints."""
+def _table(key: str, path: Path) -> tuple[bool, Array, tuple[str, ...]]:
+    """Whether a table's waypoints are latitudes and longitudes, the waypoints (K, 2), and remarks
+    to print.
+    """
     present = header(key, str(path))
     local = all(present.count(name) == 1 for name in ("x_m", "y_m"))
     degrees = degree_columns(present)
     if not local and degrees is None:
-        allowed = "a CSV file with the columns x_m, y_m, or lat_deg, lon_deg"
+        allowed = "a table with the columns x_m, y_m, or lat_deg, lon_deg"
         raise BadValue(key, str(path), f"{allowed}; it has {shown_columns(present)}")
     names = ("x_m", "y_m") if local or degrees is None else degrees[:2]
     table = Table.read(key, str(path), {name: name for name in names})
-    return not local, np.stack([table.numbers(name, empty=False) for name in names], axis=-1)
+    points = np.stack([table.numbers(name, empty=False) for name in names], axis=-1)
+    return not local, points, table.notes
 
 
-def _gpx(key: str, path: Path) -> tuple[bool, Array]:
-    """True, and the latitudes and longitudes (K, 2) deg of a GPX file's points."""
+def _gpx(key: str, path: Path) -> Array:
+    """The latitudes and longitudes (K, 2) deg of a GPX file's points."""
     try:
         root = ElementTree.fromstring(loaded.read(path)[0])
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -123,4 +130,4 @@ def _gpx(key: str, path: Path) -> tuple[bool, Array]:
             wrong = f"{name} {number} has lat={cells[0]!r}, lon={cells[1]!r}"
             raise BadValue(key, str(path), f"points with numbers lat and lon; {wrong}")
         found.append(pair)
-    return True, np.array(found)
+    return np.array(found)

@@ -110,4 +110,13 @@ def locators(found: dict[str, Any], path: str) -> Rows:
             raise ValueError(f"a locator has {words}; locator {i} has not") from None
     names = ["id", "x_m", "y_m", "z_m", "facing_deg", "pitch_deg", "roll_deg"]
     frame = pd.DataFrame(rows, columns=names)
-    return Rows(names, (Part(0, "locator", 1),), (), {}, frame)
+    masked = [one["id"] for one in found["locators"] if _has_mask(one.get("config"))]
+    words = "exclude angles (azimuthMask, elevationMask), which are used where they are measured"
+    notes = (f"{path}: {len(masked)} locators {words}",) if masked else ()
+    return Rows(names, (Part(0, "locator", 1),), notes, {}, frame)
+
+
+def _has_mask(config: Any) -> bool:
+    """Whether a locator's configuration excludes angles."""
+    masks = ("azimuthMask", "elevationMask")
+    return isinstance(config, dict) and any(config.get(mask) for mask in masks)

@@ -108,7 +108,7 @@ def test_rooms_are_separate_and_a_route_through_their_wall_is_told():
     assert not other.hears(other.truth(None)[:, :3]).any()
     through = site(route=[[1, 1], [20, 1], [20, 4], [5, 4]])
     (note,) = through.notes
-    assert "the route goes through 2 walls, first near (12, 1)" in note
+    assert "the route goes through walls at 2 places, first near (12, 1)" in note
     assert inside.notes == ()
     touching = site(route=[[1, 1], [11, 1], [11, 6]])
     assert touching.notes == ()
@@ -130,8 +130,8 @@ def test_units_beyond_metres():
 
 def test_clocks_and_heights():
     Path("a.csv").write_text("x_m,y_m,clock_offset_s\n0,0,1.5\n1,0,-0.25\n")
-    assert read_anchors("anchors", "a.csv").clock_offset_s.tolist() == [1.5, -0.25]
-    assert read_anchors("anchors", "local.csv").clock_offset_s is None
+    assert read_anchors("anchors", "a.csv").clock_offset.tolist() == [1.5, -0.25]
+    assert read_anchors("anchors", "local.csv").clock_offset is None
     Path("a.csv").write_text("Lat,Lon,z_m\n60,24,3\n60,24.0001,4\n")
     found = read_anchors("anchors", "a.csv", HERE)
     np.testing.assert_allclose(found.anchors.position[0, 0, :, 2], [3, 4], atol=1e-5)
