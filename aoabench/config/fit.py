@@ -59,6 +59,8 @@ def _error(
         return BadValue(f"{path}.{error.key}", error.value, error.allowed)
     group = error.group if scenario.tracks is None else "scenario"
     rest = _instead(error, estimator, scenario, noise)
+    if scenario.tracks is None and error.allowed == NEEDS["motion"][1]:
+        rest = f", because its fixes are separate points and no track in time{rest}"
     return BadValue(group, choices[group], f"{error.allowed}, which {path} needs{rest}")
 
 

@@ -12,7 +12,7 @@ points along the facing direction, y horizontally left of it, z up. Facing count
 from the global +x; pitch > 0 tilts local x down. With degrees, +x is east, +y north, and heights
 count from the ellipsoid at the origin (`devices.geodesy`).
 
-A positioning_config.json of Silicon Labs is such a table too (`devices.silabs`).
+A positioning_config.json of Silicon Labs is read too (`devices.locators`).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import numpy as np
 
 from aoabench.devices.columns import header, shown_columns
 from aoabench.devices.geodesy import Origin, check_degrees, degree_columns
+from aoabench.devices.locators import is_config, read_locators
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, did_you_mean
 from aoabench.maths.geometry import Array, euler
@@ -58,7 +59,7 @@ class AnchorsFile(NamedTuple):
     from above, None if the file states none, remarks to print, and whether the ids are the numbers
     of the rows, because the file states none.
 
-    clock_offset (B,): how far each anchor's clock is ahead, in s, or None. origin: that of the
+    clock_offset_s (B,): how far each anchor's clock is ahead, in s, or None. origin: that of the
     local coordinates, None where it is unknown; assumed: whether it is the anchors' centroid,
     because none is declared.
     """
@@ -68,7 +69,7 @@ class AnchorsFile(NamedTuple):
     facing: Array | None
     notes: tuple[str, ...]
     numbered: bool = False
-    clock_offset: Array | None = None
+    clock_offset_s: Array | None = None
     origin: Origin | None = None
     assumed: bool = False
 
@@ -92,6 +93,8 @@ def read_anchors(key: str, path: str, origin: Origin | None = None) -> AnchorsFi
     BadValue for a missing or repeated column, for a column that looks like a misspelt one, for
     cells that are not numbers, and for angles beyond +-360 deg.
     """
+    if is_config(path):
+        return AnchorsFile(*read_locators(key, path), origin=origin)
     named = _columns(key, path, header(key, path))
     table = Table.read(key, path, named)
     n = len(table.frame)

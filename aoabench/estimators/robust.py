@@ -1,17 +1,21 @@
-"""Robust maximum likelihood of azimuths and elevations.
+"""Robust maximum likelihood of azimuths, elevations and ranges.
 
-    f(p) = 1/2 sum_i [rho(da_i^2 / sigma_a^2) + rho(de_i^2 / sigma_e^2)]
+    f(p) = 1/2 sum_i [rho(da_i^2 / sigma_a^2) + rho(de_i^2 / sigma_e^2) + rho(dr_i^2 / sigma_r^2)]
 
-over the anchors heard, with the wrapped differences da, de of measured and expected angles. `Loss`
-has the choices of rho. A Gauss-Newton step weighs each angle with rho' (iteratively reweighted
-least squares). It starts from the best of these points: the one nearest to all measured lines,
-those where one ray meets the plane of a known height, and those nearest to two lines. One of them
-comes from good anchors alone, as long as two anchors are good.
+over the anchors that measure an azimuth, with the differences of measured and expected angles
+(da, de, wrapped) and ranges (dr). `Loss` has the choices of rho. A Gauss-Newton step weighs each
+measurement with rho' (iteratively reweighted least squares). It starts from the best of these
+points: the one nearest to all measured lines, those where one ray meets the plane of a known
+height, those nearest to two lines, and those on a ray at its range. One of them comes from good
+anchors alone, as long as two anchors are good.
 
-A robust loss needs two angles more than unknowns: with one, it cannot tell which angle is wrong.
-A fix with fewer, such as one of three azimuths alone, is the point nearest to the lines; with
-elevations, three anchors and even two at a known height have the redundancy. The loss `normal`
-has no such rule.
+A robust loss needs two measurements more than unknowns: with one, it cannot tell which is wrong.
+A fix with fewer, such as one of three azimuths alone, is the point nearest to the lines, or with
+ranges the minimum of the loss `normal`; with elevations, three anchors and even two at a known
+height have the redundancy. The loss `normal` has no such rule.
+
+Ranges (`Batch.delay` times the speed of light) need a positive deviation, and elevations or a known
+height: a range without both says nothing about how far a target of unknown height is in the plane.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ from aoabench.estimators.plane import clipped
 from aoabench.estimators.rays import POLE, is_deviation, off_the_poles
 from aoabench.estimators.robust_reference import Found, fixes
 from aoabench.kernels.loading import Compiled, engine_param
-from aoabench.maths.geometry import Array
+from aoabench.maths.geometry import LIGHT, Array
 from aoabench.params import param
 from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 from aoabench.streams import Streams
@@ -37,18 +41,20 @@ from aoabench.types import Anchors, Batch, Estimates
 FREE = "free"
 LOSSES = ("normal", "student", "huber", "truncated")
 LIMITS = {"huber": 1.345, "truncated": 3.0}  # deviations
-Angles = tuple[Array, Array, Array, Array]  # angles and 1 / variance of both (R, T, B)
+STATED = "stated"
+# angles, 1 / variance of both, ranges and theirs, each (R, T, B); the last two (R, T, 0) for none
+Measured = tuple[Array, Array, Array, Array, Array, Array]
 
 
 @dataclass(frozen=True)
 class RobustLikelihood(Compiled, Estimator):
-    """Maximum likelihood of azimuths and elevations with a robust loss.
+    """Maximum likelihood of azimuths, elevations and ranges with a robust loss.
 
     Outcomes: FAILED without a start; DIVERGED behind an anchor that is used, or farther from the
     anchors' centre than FAR times their extent; OSCILLATED if no step is shorter than `tolerance_m`
     within `updates`. An anchor is used if its azimuth keeps a quarter of the full weight. The score
-    is sqrt(sum rho / number of angles): deviations, NaN without redundancy. With a known height,
-    and from azimuths of upright anchors alone, z is NaN.
+    is sqrt(sum rho / number of measurements): deviations, NaN without redundancy. With a known
+    height, and from azimuths of upright anchors alone, z is NaN.
 
     The covariance is the inverse of the weighted normal matrix, times `Loss.spread`, and times the
     weighted variance of the residuals if that exceeds 1. An anchor's azimuth counts there as if the
@@ -77,6 +83,14 @@ class RobustLikelihood(Compiled, Estimator):
     stated: bool = param(
         False, "whether the deviations that the measurements state are used in place of these"
     )
+    range_sigma_m: float | str | None = param(
+        STATED,
+        "standard deviation of a range; stated: the measurement's own, and a range without one is "
+        "not used; null: ranges are not used",
+        unit="m",
+        above=0,
+        also=(STATED,),
+    )
     height_m: float | str | None = param(
         None,
         "height of the target; free: z is estimated; null: the scenario's known height, else free",
@@ -96,17 +110,19 @@ class RobustLikelihood(Compiled, Estimator):
     @property
     def needs(self) -> frozenset[str]:
         several = self.height_m == FREE or self.elevation_sigma_deg is None
-        found = {"several_anchors"} if several else set()
+        found = {"several_anchors"} if several and self.range_sigma_m is None else set()
         return frozenset(found | ({"stated_sigma"} if self.stated else set()))
 
     def check(self, scenario: Scenario, noise: Noise) -> None:
-        """Raise Unfit as all estimators do, and if a single anchor measures but the height is not
-        known or no elevation is measured.
+        """Raise Unfit as all estimators do, and if a single anchor measures but not two of these:
+        the height is known, elevations are measured, ranges are.
         """
         super().check(scenario, noise)
-        offered = noise.offers()
-        ray = offered is None or "elevation" in offered | scenario.offers()
-        alone = ray and np.isfinite(self._height(scenario))
+        given = noise.offers()
+        offered = {"elevation", "delay"} if given is None else given | scenario.offers()
+        ray = "elevation" in offered and self.elevation_sigma_deg is not None
+        ranged = "delay" in offered and self.range_sigma_m is not None
+        alone = ray + ranged + bool(np.isfinite(self._height(scenario))) >= 2
         if not alone and "several_anchors" not in scenario.offers():
             raise Unfit(*NEEDS["several_anchors"])
 
@@ -128,9 +144,10 @@ class RobustLikelihood(Compiled, Estimator):
         if self.elevation_sigma_deg is None:
             nothing = np.full_like(batch.elevation, np.nan)
             batch = replace(batch, elevation=nothing, elevation_sigma=None)
-        angles, batch = self._weighted(batch)
+        height = self._height(scenario)
+        measured, batch = self._weighted(batch, np.isfinite(height))
         compiled = self.compiled(batch.anchors)
-        given = batch.anchors, angles, self._height(scenario)
+        given = batch.anchors, measured, height
         found = self._in_numpy(*given) if compiled is None else self._by_kernel(compiled, *given)
         p = found.position
         p[..., :2] = clipped(p[..., :2], scenario, self.clip)
@@ -144,9 +161,9 @@ class RobustLikelihood(Compiled, Estimator):
             found.reason,
         )
 
-    def _weighted(self, batch: Batch) -> tuple[Angles, Batch]:
-        """Angles and 1 / variance (R, T, B) of both, 0 where not measured; and the batch with the
-        frames of anchors turned that see the target along their pole.
+    def _weighted(self, batch: Batch, known: bool) -> tuple[Measured, Batch]:
+        """Angles and ranges with 1 / variance, 0 where not measured; and the batch with the frames
+        of anchors turned that see the target along their pole. `known`: the height is.
         """
         azimuth = np.isfinite(batch.azimuth) & is_deviation(batch.azimuth_sigma)
         line = azimuth & np.isfinite(batch.elevation) & is_deviation(batch.elevation_sigma)
@@ -161,29 +178,50 @@ class RobustLikelihood(Compiled, Estimator):
             wa = np.where(pole, we, np.where(azimuth, 1.0 / np.square(a), 0.0))
         turned, _ = off_the_poles(batch)
         phi, theta = turned.azimuth, turned.elevation
-        return (np.where(azimuth, phi, 0.0), np.where(line, theta, 0.0), wa, we), turned
+        usable = azimuth & (known | line.any(axis=2, keepdims=True))
+        angles = np.where(azimuth, phi, 0.0), np.where(line, theta, 0.0), wa, we
+        return (*angles, *self._ranges(batch, usable)), turned
 
-    def _in_numpy(self, anchors: Anchors, angles: Angles, height: float) -> Found:
+    def _ranges(self, batch: Batch, usable: np.ndarray) -> tuple[Array, Array]:
+        """Ranges and 1 / variance (R, T, B), 0 where not `usable` (R, T, B) or without a positive
+        deviation; both (R, T, 0) without any.
+        """
+        none = np.empty((*usable.shape[:2], 0))
+        if batch.delay is None or self.range_sigma_m is None:
+            return none, none
+        sigma = None if batch.delay_sigma is None else LIGHT * batch.delay_sigma
+        if self.range_sigma_m != STATED:
+            sigma = np.full_like(batch.delay, self.range_sigma_m)
+        if sigma is None:
+            return none, none
+        usable = usable & (batch.delay >= 0) & is_deviation(sigma)
+        if not usable.any():
+            return none, none
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weight = np.where(usable, 1.0 / np.square(sigma), 0.0)
+        return np.where(usable, LIGHT * batch.delay, 0.0), weight
+
+    def _in_numpy(self, anchors: Anchors, measured: Measured, height: float) -> Found:
         """The fixes (R, T), by NumPy."""
-        shape = angles[0].shape
+        shape = measured[0].shape
         N = shape[0] * shape[1]
-        phi, theta, wa, we = (a.reshape(N, -1) for a in angles)
+        arrays = [a.reshape(N, -1) for a in measured]
         s = np.broadcast_to(anchors.position, (*shape, 3)).reshape(N, -1, 3)
         R = np.broadcast_to(anchors.rotation, (*shape, 3, 3)).reshape(N, -1, 3, 3)
-        given = (phi, theta, wa, we), (s, R), height
+        given = tuple(a if a.size else np.zeros((N, shape[2])) for a in arrays), (s, R), height
         found = fixes(*given, self.rho, self.tolerance_m, self.updates)
         return Found(*(a.reshape(*shape[:2], *a.shape[1:]) for a in found))
 
     def _by_kernel(
-        self, compiled: ModuleType, anchors: Anchors, angles: Angles, height: float
+        self, compiled: ModuleType, anchors: Anchors, measured: Measured, height: float
     ) -> Found:
         """The fixes (R, T), by the compiled kernel."""
-        shape, rho = angles[0].shape[:2], self.rho
+        shape, rho = measured[0].shape[:2], self.rho
         outcome, reason = np.empty((2, *shape), dtype=np.int8)
         count, score, used = np.empty((3, *shape))
         p, P = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
         found = Found(p, P, outcome, reason, count, score, used)
-        arrays = *angles, anchors.position, anchors.rotation
+        arrays = *measured, anchors.position, anchors.rotation
         given = [np.ascontiguousarray(a, dtype=float) for a in arrays]
         compiled.robust(rho.kind, rho.k, self.tolerance_m, self.updates, height, *given, *found)
         return found

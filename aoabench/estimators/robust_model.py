@@ -17,16 +17,18 @@ from aoabench.maths.linalg import solve
 
 
 class Fixes(NamedTuple):
-    """Angles (N, B) rad of N fixes, 0 where not measured, and 1 / variance, 0 where not measured;
-    anchors s (N, B, 3) m from the centre of those used, rotations R (N, B, 3, 3); z (N,) m: the
-    height of the fixes, if it is known or does not matter (flat); measured rays ahead (N, B, 3);
-    redundancy (N,): the number of angles less that of unknowns.
+    """Angles (N, B) rad and ranges r (N, B) m of N fixes, and 1 / variance, all 0 where not
+    measured; anchors s (N, B, 3) m from the centre of those used, rotations R (N, B, 3, 3);
+    z (N,) m: the height of the fixes, if it is known or does not matter (flat); measured rays ahead
+    (N, B, 3); redundancy (N,): the number of angles and ranges less that of unknowns.
     """
 
     phi: Array
     theta: Array
     wa: Array
     we: Array
+    r: Array
+    wr: Array
     s: Array
     R: Array
     flat: np.ndarray
@@ -63,12 +65,14 @@ def flattened(A: Array, g: Array, flat: np.ndarray) -> None:
 
 
 def prepared(
-    angles: tuple[Array, Array, Array, Array], s: Array, R: Array, height: float
+    measured: tuple[Array, ...], s: Array, R: Array, height: float
 ) -> tuple[Fixes, Lines, Array]:
     """Fixes, their lines and the centres (N, 3) m of the anchors used, from angles and weights
-    (N, B) and anchors (N, B, ...); `height` is NaN where the target's is not known.
+    (N, B), with ranges and their weights (N, B) if there are any, and anchors (N, B, ...);
+    `height` is NaN where the target's is not known.
     """
-    phi, theta, wa, we = angles
+    phi, theta, wa, we, *ranges = measured
+    r, wr = ranges or (np.zeros_like(wa), np.zeros_like(wa))
     used, line = wa > 0, we > 0
     n = np.maximum(used.sum(axis=1), 1)[:, None]
     centre = np.where(used[..., None], s, 0.0).sum(axis=1) / n
@@ -84,8 +88,8 @@ def prepared(
     flat = level | known
     z = np.where(flat & known, height - centre[:, 2], 0.0)
     g = (A @ s[..., None])[..., 0]
-    redundancy = used.sum(axis=1) + line.sum(axis=1) - np.where(flat, 2, 3)
-    return Fixes(phi, theta, wa, we, s, R, flat, z, u, redundancy), Lines(A, g), centre
+    redundancy = (1 * used + line + (wr > 0)).sum(axis=1) - np.where(flat, 2, 3)
+    return Fixes(phi, theta, wa, we, r, wr, s, R, flat, z, u, redundancy), Lines(A, g), centre
 
 
 def _turned(u: Array, R: Array) -> Array:
@@ -123,14 +127,19 @@ def state(f: Fixes, p: Array, loss: Loss, m: Array | float = STEEP, capped: bool
     ga = np.stack([-v, u, np.zeros_like(u)], axis=-1) / rho2[..., None]
     ge = np.stack([-u * w / rho, -v * w / rho, rho], axis=-1) / r2[..., None]
     ga, ge = _turned(ga, f.R), _turned(ge, f.R)
-    ca, ce = f.wa * wa, f.we * we
+    dr = f.r - np.sqrt(r2)
+    sr = f.wr * dr * dr
+    wr = loss.weight(sr, m)
+    gr = _turned(np.stack([u, v, w], axis=-1) / np.sqrt(r2)[..., None], f.R)
+    ca, ce, cr = f.wa * wa, f.we * we, f.wr * wr
     if capped:
         ca = np.where(f.we > 0, ca * np.minimum(1.0, rho2 * f.we / r2), ca)
-    A = np.einsum("nb,nbi,nbj->nij", ca, ga, ga) + np.einsum("nb,nbi,nbj->nij", ce, ge, ge)
-    g = np.einsum("nb,nbi->ni", ca * da, ga) + np.einsum("nb,nbi->ni", ce * de, ge)
+    each = (ca, da, ga), (ce, de, ge), (cr, dr, gr)
+    A = sum(np.einsum("nb,nbi,nbj->nij", c, x, x) for c, _, x in each)
+    g = sum(np.einsum("nb,nbi->ni", c * y, x) for c, y, x in each)
     flattened(A, g, f.flat)
-    cost = 0.5 * (loss.of(sa, m) + loss.of(se, m)).sum(axis=1)
-    squares = (wa * sa + we * se).sum(axis=1)
+    cost = 0.5 * (loss.of(sa, m) + loss.of(se, m) + loss.of(sr, m)).sum(axis=1)
+    squares = (wa * sa + we * se + wr * sr).sum(axis=1)
     pole = np.where(f.wa > 0, rho, np.inf).min(axis=1, initial=np.inf)
-    largest = np.maximum(sa, se).max(axis=1, initial=0.0)
+    largest = np.maximum(np.maximum(sa, se), sr).max(axis=1, initial=0.0)
     return State(cost, A, g, wa, we, squares, largest, pole)

@@ -34,7 +34,8 @@ from aoabench.types import Outcome, Reason
 
 def starts(f: Fixes, lines: Lines) -> Iterator[Array]:
     """Candidates (N, 3) m of a start, NaN for none: the point nearest to all lines, then those on
-    one line (where the height is known) and nearest to two, of anchors that are apart.
+    one line (where the height is known) and nearest to two, of anchors that are apart, and those
+    on one ray at its range.
     """
     used = f.wa > 0
     yield lines.nearest(used.astype(float), f)
@@ -53,6 +54,11 @@ def starts(f: Fixes, lines: Lines) -> Iterator[Array]:
             good = tried & (between if gap else True)
             if good.any():
                 yield np.where(good[:, None], lines.nearest(some, f), np.nan)
+    for i in range(most if f.wr.any() else 0):
+        j = order[:, i]
+        at = f.s[row, j] + f.r[row, j, None] * f.ahead[row, j]
+        at[:, 2] = np.where(f.flat, f.z, at[:, 2])
+        yield np.where(f.wr[row, j, None] > 0, at, np.nan)
 
 
 def best_start(f: Fixes, lines: Lines, loss: Loss) -> Array:
@@ -104,7 +110,7 @@ def descended(
     outcome = np.full(N, Outcome.OSCILLATED, dtype=np.int8)
     reason = np.full(N, Reason.NO_CONVERGENCE, dtype=np.int8)
     far = FAR * np.sqrt((f.s**2).sum(axis=-1)).max(axis=1, initial=0.0)
-    far = np.maximum(far, FAR * np.abs(f.z))
+    far = np.maximum(far, FAR * np.maximum(np.abs(f.z), f.r.max(axis=1, initial=0.0)))
     left = np.arange(N)
     for _ in range(updates):
         if not len(left):
@@ -153,36 +159,40 @@ class Found(NamedTuple):
 
 
 def fixes(
-    angles: tuple[Array, Array, Array, Array],
+    measured: tuple[Array, ...],
     anchors: tuple[Array, Array],
     height: float,
     loss: Loss,
     tolerance: float,
     updates: int,
 ) -> Found:
-    """One position per fix from angles and weights (N, B) and anchors (N, B, ...); `height` in m is
-    NaN where z is estimated.
+    """One position per fix from angles, ranges and weights (N, B) and anchors (N, B, ...); `height`
+    in m is NaN where z is estimated.
     """
-    f, lines, centre = prepared(angles, *anchors, height)
-    used, known = f.wa > 0, bool(np.isfinite(height))
-    alone = known & (f.we > 0).any(axis=1)  # one ray meets the plane
+    f, lines, centre = prepared(measured, *anchors, height)
+    used, line, ranged, known = f.wa > 0, f.we > 0, f.wr > 0, bool(np.isfinite(height))
+    # one ray, or one range, meets the plane, and one range ends a ray
+    alone = (known & (line | ranged).any(axis=1)) | (line & ranged).any(axis=1)
     seen = np.where(f.flat[:, None, None] & (np.arange(3) == 2), 0.0, f.s)
     together = ~alone & ~apart(seen[:, None], used[:, None])[:, 0]
-    plain = (loss.kind != NORMAL) & (f.redundancy < REDUNDANT)
+    few = (loss.kind != NORMAL) & (f.redundancy < REDUNDANT)
+    plain = few & ~ranged.any(axis=1)
     p = lines.nearest(used.astype(float), f)
-    search = np.flatnonzero(~plain & ~together)
-    p[search] = best_start(f.those(search), Lines(*(a[search] for a in lines)), loss)
+    losses = (loss, np.flatnonzero(~few)), (Loss(NORMAL, 1.0), np.flatnonzero(few & ~plain))
+    for rho, those in losses:
+        go = those[~together[those]]
+        p[go] = best_start(f.those(go), Lines(*(a[go] for a in lines)), rho)
     p[together | (used.sum(axis=1) < np.where(alone, 1, 2))] = np.nan
     solved = np.isfinite(p[:, 0])
     outcome = np.where(solved, Outcome.OK, Outcome.FAILED).astype(np.int8)
     failed = measured_reason(used, 1 if known else 2, together)
     reason = np.where(solved, Reason.NONE, failed).astype(np.int8)
     count = np.zeros(len(p))
-    go = np.flatnonzero(solved & ~plain)
-    p[go], outcome[go], reason[go], count[go], _ = minimum(
-        f.those(go), p[go], loss, tolerance, updates
-    )
-    judged = _judged(f, p, outcome, reason, loss, plain | ~solved)
+    for rho, those in losses:
+        go = those[solved[those]]
+        found = minimum(f.those(go), p[go], rho, tolerance, updates)
+        p[go], outcome[go], reason[go], count[go], _ = found
+    judged = _judged(f, p, outcome, reason, loss, few | ~solved)
     p += centre
     p[f.flat, 2] = np.nan
     return Found(p, judged[0], outcome, reason, count, *judged[1:])
@@ -204,6 +214,6 @@ def _judged(
     scale = np.maximum(at.squares / np.maximum(f.redundancy, 1), 1.0)
     P = scale[:, None, None] * inverse(at.A)
     P[f.flat, 2] = P[f.flat, :, 2] = np.nan
-    number = np.maximum((f.wa > 0).sum(axis=1) + (f.we > 0).sum(axis=1), 1)
+    number = np.maximum((1 * (f.wa > 0) + (f.we > 0) + (f.wr > 0)).sum(axis=1), 1)
     score = np.where(f.redundancy > 0, np.sqrt(2.0 * at.cost / number), np.nan)
     return P, score, used.sum(axis=1).astype(float)

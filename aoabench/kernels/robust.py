@@ -26,13 +26,17 @@ from aoabench.kernels.robust_likelihood import (
     R20,
     R21,
     R22,
+    RANGE,
     SA,
     SE,
+    SR,
     THETA,
     TRUNCATED,
+    WR,
     X,
     Y,
     Z,
+    at_range,
     costs,
     equations,
     gathered,
@@ -78,13 +82,16 @@ from aoabench.kernels.snapshot import FAR
 
 
 @called
-def best_start(loss, k, flat, z, q, d, l, n):
+def best_start(loss, k, flat, z, q, d, l, n, ranges):
     """The candidate of least cost, and that cost, infinite without a candidate."""
     bx, by, bz, least, count = UNKNOWN, UNKNOWN, UNKNOWN, math.inf, 0
-    for gap in range(-1, n):
-        for i in range(1 if gap < 0 else n - gap):
+    for gap in range(-1, n + (1 if ranges > 0 else 0)):
+        for i in range(1 if gap < 0 else n if gap == n else n - gap):
             if gap < 0:
                 x, y, w, sound = nearest_to_all(flat, z, l, n)
+            elif gap == n:
+                sound = q[WR, i] > 0.0
+                x, y, w = at_range(flat, z, q, i)
             elif count < STARTS:
                 count += 1
                 j, two = i + gap, 1.0 if gap > 0 else 0.0
@@ -98,8 +105,8 @@ def best_start(loss, k, flat, z, q, d, l, n):
             else:
                 sound = False
             if sound:
-                residuals(x, y, w, q, d, n)
-                c = costs(loss, k, STEEP, d, n)
+                residuals(x, y, w, q, d, n, ranges)
+                c = costs(loss, k, STEEP, d, n, ranges)
                 if not c >= least * (1.0 - EVEN) - ROUNDING:
                     bx, by, bz, least = x, y, w, c
     return bx, by, bz, least
@@ -127,7 +134,7 @@ def apart(flat, q, n):
 
 
 @called
-def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n):
+def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges):
     """Damped Gauss-Newton steps from (x, y, z): the position, outcome, reason, number of updates
     and cost.
     """
@@ -140,12 +147,13 @@ def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n):
     )
     for j in range(n):
         far2 = max(far2, q[X, j] * q[X, j] + q[Y, j] * q[Y, j] + q[Z, j] * q[Z, j])
+        far2 = max(far2, q[RANGE, j] * q[RANGE, j])
     far2 *= FAR * FAR
-    residuals(x, y, z, q, d, n)
+    residuals(x, y, z, q, d, n, ranges)
     for _ in range(updates):
-        weigh(loss, k, m, q, d, n)
-        now = costs(loss, k, m, d, n)
-        a00, a10, a11, a20, a21, a22, g0, g1, g2 = equations(flat, False, q, d, n)
+        weigh(loss, k, m, q, d, n, ranges)
+        now = costs(loss, k, m, d, n, ranges)
+        a00, a10, a11, a20, a21, a22, g0, g1, g2 = equations(flat, False, q, d, n, ranges)
         f = 1.0 + damping
         dx, dy, dz, sound = solve(f * a00, a10, f * a11, a20, a21, f * a22, g0, g1, g2)
         count += 1
@@ -153,8 +161,8 @@ def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n):
             outcome, reason = DIVERGED, NO_DESCENT
             break
         tx, ty, tz = x + dx, y + dy, z + dz
-        pole2 = residuals(tx, ty, tz, q, d, n)
-        better = costs(loss, k, m, d, n) <= now * (1.0 + SLACK) + ROUNDING
+        pole2 = residuals(tx, ty, tz, q, d, n, ranges)
+        better = costs(loss, k, m, d, n, ranges) <= now * (1.0 + SLACK) + ROUNDING
         if better:
             x, y, z = tx, ty, tz
         damping = min(max(damping * (0.1 if better else 10.0), LEAST), MOST)
@@ -170,33 +178,35 @@ def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n):
                 break
         m = min(m * GROWTH, STEEP)
         if not better:
-            residuals(x, y, z, q, d, n)
-    residuals(x, y, z, q, d, n)
-    return x, y, z, outcome, reason, count, costs(loss, k, STEEP, d, n)
+            residuals(x, y, z, q, d, n, ranges)
+    residuals(x, y, z, q, d, n, ranges)
+    return x, y, z, outcome, reason, count, costs(loss, k, STEEP, d, n, ranges)
 
 
 @inlined
-def minimum(loss, k, tolerance, updates, flat, x, y, z, q, d, n):
+def minimum(loss, k, tolerance, updates, flat, x, y, z, q, d, n, ranges):
     """The minimum below (x, y, z), as `descended`; the better of two for a truncated loss."""
-    found = descended(loss, k, tolerance, updates, flat, x, y, z, STEEP, q, d, n)
+    found = descended(loss, k, tolerance, updates, flat, x, y, z, STEEP, q, d, n, ranges)
     if loss != TRUNCATED:
         return found
-    residuals(x, y, z, q, d, n)
+    residuals(x, y, z, q, d, n, ranges)
     s = 0.0
     for j in range(n):
         s = max(s, max(d[SA, j], d[SE, j]))
+        if ranges > 0:
+            s = max(s, d[SR, j])
     m = min(max(k * k / max(2.0 * s - k * k, TINY), 1.0 / STEEP), STEEP)
-    other = descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n)
+    other = descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges)
     lower = other[6] < found[6] * (1.0 - EVEN) - ROUNDING
     return other if (lower if other[3] == found[3] else other[3] < found[3]) else found
 
 
 @called
-def used_and_behind(loss, k, plain, x, y, z, q, d, n):
+def used_and_behind(loss, k, every, x, y, z, q, d, n):
     """The number of anchors that are used, and whether (x, y, z) lies behind one of them."""
     used, back, least = 0, False, USED * weight(loss, k, STEEP, 0.0)
     for j in range(n):
-        if plain or weight(loss, k, STEEP, d[SA, j]) >= least:
+        if every or weight(loss, k, STEEP, d[SA, j]) >= least:
             used += 1
             sp, cp = sine_cosine(q[PHI, j])
             st, ct = sine_cosine(q[THETA, j])
@@ -215,7 +225,7 @@ def used_and_behind(loss, k, plain, x, y, z, q, d, n):
         types.float64,
         types.intp,
         types.float64,
-        *(given(3) for _ in range(4)),
+        *(given(3) for _ in range(6)),
         given(4),
         given(5),
         types.float64[:, :, ::1],
@@ -226,34 +236,37 @@ def used_and_behind(loss, k, plain, x, y, z, q, d, n):
     )
 )
 def robust(
-    loss, k, tolerance, updates, height, phi, theta, wa, we, s, R,
+    loss, k, tolerance, updates, height, phi, theta, wa, we, r, wr, s, R,
     p, P, outcome, reason, count, score, used,
 ):  # fmt: skip
     """Position p (R, T, 3), covariance P (R, T, 3, 3), outcome, reason, number of updates, score
-    and number of anchors used (R, T) of each fix from its angles (R, T, B).
+    and number of anchors used (R, T) of each fix from its angles and ranges r m (R, T, B).
 
-    wa, we (R, T, B): 1 / variance, 0 where not measured; s (R|1, T|1, B, 3) anchors, R
+    wa, we, wr (R, T, B): 1 / variance, 0 where not measured; without ranges, r and wr are
+    (R, T, 0). s (R|1, T|1, B, 3) anchors, R
     (R|1, T|1, B, 3, 3); `height` is NaN where z is estimated.
     """
     B, known = phi.shape[2], height == height
-    q, d, l = np.empty((16, B + LANES)), np.empty((9, B + LANES)), np.empty((9, B + LANES))
+    q, d, l = np.empty((18, B + LANES)), np.empty((12, B + LANES)), np.empty((9, B + LANES))
     for i in range(phi.shape[0]):
         for t in range(phi.shape[1]):
             here = s[min(i, len(s) - 1), min(t, s.shape[1] - 1)]
             turn = R[min(i, len(R) - 1), min(t, R.shape[1] - 1)]
-            n, rays, cx, cy, cz = gathered(
-                phi[i, t], theta[i, t], wa[i, t], we[i, t], here, turn, q
+            n, rays, ranges, both, cx, cy, cz = gathered(
+                phi[i, t], theta[i, t], wa[i, t], we[i, t], r[i, t], wr[i, t], here, turn, q
             )
             vertical = projected(q, n, l)
-            flat, alone = known | (vertical & (rays == 0)), known & (rays > 0)
+            flat = known | (vertical & (rays == 0))
+            alone = (known & (rays + ranges > 0)) | (both > 0)
             z = height - cz if known else 0.0
-            redundancy = n + rays - (2 if flat else 3)
-            plain = (loss != NORMAL) & (redundancy < REDUNDANT)
+            redundancy = n + rays + ranges - (2 if flat else 3)
+            few = (loss != NORMAL) & (redundancy < REDUNDANT)
+            plain, rho = few & (ranges == 0), NORMAL if few else loss
             together = not (alone | apart(flat, q, n))
             count[i, t], score[i, t], used[i, t], P[i, t] = 0.0, UNKNOWN, n, UNKNOWN
             x, y, w, sound = nearest_to_all(flat, z, l, n)
             if not plain and not together:
-                x, y, w, least = best_start(loss, k, flat, z, q, d, l, n)
+                x, y, w, least = best_start(rho, k, flat, z, q, d, l, n, ranges)
                 sound = least < math.inf
             if together | (not sound) | (n < (1 if alone else 2)):
                 p[i, t], outcome[i, t] = UNKNOWN, FAILED
@@ -264,16 +277,18 @@ def robust(
             outcome[i, t], reason[i, t] = OK, NONE
             if not plain:
                 x, y, w, outcome[i, t], reason[i, t], count[i, t], least = minimum(
-                    loss, k, tolerance, updates, flat, x, y, w, q, d, n
+                    rho, k, tolerance, updates, flat, x, y, w, q, d, n, ranges
                 )
-            residuals(x, y, w, q, d, n)
-            squares = weigh(loss, k, STEEP, q, d, n)
+            residuals(x, y, w, q, d, n, ranges)
+            squares = weigh(loss, k, STEEP, q, d, n, ranges)
             if redundancy > 0:
-                score[i, t] = math.sqrt(2.0 * costs(loss, k, STEEP, d, n) / (n + rays))
-            used[i, t], back = used_and_behind(loss, k, plain, x, y, w, q, d, n)
+                score[i, t] = math.sqrt(
+                    2.0 * costs(loss, k, STEEP, d, n, ranges) / (n + rays + ranges)
+                )
+            used[i, t], back = used_and_behind(loss, k, few, x, y, w, q, d, n)
             if back & (outcome[i, t] == OK):
                 outcome[i, t], reason[i, t] = DIVERGED, BEHIND
-            a = equations(flat, True, q, d, n)
+            a = equations(flat, True, q, d, n, ranges)
             if solve(*a)[3]:
                 scale = max(squares / max(redundancy, 1), 1.0)
                 fill(P[i, t], scale, *inverse(a[0], a[1], a[2], a[3], a[4], a[5]))

@@ -17,8 +17,8 @@ from aoabench.kernels.small import solve
 LANES = 4
 NORMAL, STUDENT, HUBER, TRUNCATED = range(4)
 PHI, THETA, WA, WE, X, Y, Z = range(7)  # rows of q; then those of the rotation
-R00, R01, R02, R10, R11, R12, R20, R21, R22 = range(7, 16)
-DA, DE, SA, SE, U, V, W, CA, CE = range(9)  # rows of d
+R00, R01, R02, R10, R11, R12, R20, R21, R22, RANGE, WR = range(7, 18)
+DA, DE, SA, SE, U, V, W, CA, CE, DR, SR, CR = range(12)  # rows of d; the last three of ranges
 
 
 @inlined
@@ -48,7 +48,7 @@ def cost(loss, k, m, s):
 
 
 @called
-def costs(loss, k, m, d, n):
+def costs(loss, k, m, d, n, ranges):
     """Half the sum of rho over the first n anchors."""
     total = 0.0
     for j in range(n):
@@ -56,13 +56,21 @@ def costs(loss, k, m, d, n):
             total += (k + 1.0) * math.log((1.0 + d[SA, j] / k) * (1.0 + d[SE, j] / k))
         else:
             total += cost(loss, k, m, d[SA, j]) + cost(loss, k, m, d[SE, j])
+    if ranges > 0:
+        for j in range(n):
+            if loss == STUDENT:
+                total += (k + 1.0) * math.log(1.0 + d[SR, j] / k)
+            else:
+                total += cost(loss, k, m, d[SR, j])
     return 0.5 * total
 
 
 @called
-def gathered(phi, theta, wa, we, s, R, q):
-    """Copy the anchors that measured into q; their number, the number of rays and the centre."""
-    n, rays, x, y, z = 0, 0, 0.0, 0.0, 0.0
+def gathered(phi, theta, wa, we, r, wr, s, R, q):
+    """Copy the anchors that measured into q; the numbers of anchors, of rays, of ranges, and of
+    rays with a range, and the centre.
+    """
+    n, rays, ranges, both, x, y, z = 0, 0, 0, 0, 0.0, 0.0, 0.0
     for j in range(len(phi)):
         if wa[j] > 0.0:
             q[PHI, n], q[THETA, n], q[WA, n], q[WE, n] = phi[j], theta[j], wa[j], we[j]
@@ -71,6 +79,10 @@ def gathered(phi, theta, wa, we, s, R, q):
                 for c in range(3):
                     q[R00 + 3 * i + c, n] = R[j, i, c]
             x, y, z = x + s[j, 0], y + s[j, 1], z + s[j, 2]
+            q[RANGE, n] = q[WR, n] = 0.0
+            if len(wr) > 0 and wr[j] > 0.0:
+                q[RANGE, n], q[WR, n] = r[j], wr[j]
+                ranges, both = ranges + 1, both + (1 if we[j] > 0.0 else 0)
             n, rays = n + 1, rays + (1 if we[j] > 0.0 else 0)
     if n > 0:
         x, y, z = x / n, y / n, z / n
@@ -79,8 +91,8 @@ def gathered(phi, theta, wa, we, s, R, q):
         for j in range(n, n + -n % LANES):
             for i in range(len(q)):
                 q[i, j] = q[i, n - 1]
-            q[WA, j] = q[WE, j] = 0.0
-    return n, rays, x, y, z
+            q[WA, j] = q[WE, j] = q[WR, j] = 0.0
+    return n, rays, ranges, both, x, y, z
 
 
 @called
@@ -136,7 +148,19 @@ def nearest_to_all(flat, z, l, n):
 
 
 @called
-def residuals(x, y, z, q, d, n):
+def at_range(flat, z, q, i):
+    """The point on the ray of an anchor at its range, at the height z if `flat`."""
+    sp, cp = sine_cosine(q[PHI, i])
+    st, ct = sine_cosine(q[THETA, i])
+    a, b, c = q[RANGE, i] * cp * ct, q[RANGE, i] * sp * ct, q[RANGE, i] * st
+    x = q[X, i] + a * q[R00, i] + b * q[R10, i] + c * q[R20, i]
+    y = q[Y, i] + a * q[R01, i] + b * q[R11, i] + c * q[R21, i]
+    w = q[Z, i] + a * q[R02, i] + b * q[R12, i] + c * q[R22, i]
+    return x, y, z if flat else w
+
+
+@called
+def residuals(x, y, z, q, d, n, ranges):
     """Write differences, squared deviations and the anchors' views of (x, y, z) into d; the least
     squared distance from a pole.
     """
@@ -153,22 +177,32 @@ def residuals(x, y, z, q, d, n):
         d[DA, j], d[DE, j], d[U, j], d[V, j], d[W, j] = da, de, u, v, w
         d[SA, j], d[SE, j] = q[WA, j] * da * da, q[WE, j] * de * de
         least = min(least, rho2)
+    if ranges > 0:
+        for j in range(n + -n % LANES):
+            u, v, w = d[U, j], d[V, j], d[W, j]
+            d[DR, j] = q[RANGE, j] - math.sqrt(max(u * u + v * v, TINY) + w * w)
+            d[SR, j] = q[WR, j] * d[DR, j] * d[DR, j]
     return least
 
 
 @called
-def weigh(loss, k, m, q, d, n):
-    """Write the weights of both angles over their variances into d; the weighted squares."""
+def weigh(loss, k, m, q, d, n, ranges):
+    """Write the weights of angles and ranges over their variances into d; the weighted squares."""
     total = 0.0
     for j in range(n + -n % LANES):
         a, e = weight(loss, k, m, d[SA, j]), weight(loss, k, m, d[SE, j])
         d[CA, j], d[CE, j] = q[WA, j] * a, q[WE, j] * e
         total += a * d[SA, j] + e * d[SE, j]
+    if ranges > 0:
+        for j in range(n + -n % LANES):
+            a = weight(loss, k, m, d[SR, j])
+            d[CR, j] = q[WR, j] * a
+            total += a * d[SR, j]
     return total
 
 
 @called
-def equations(flat, capped, q, d, n):
+def equations(flat, capped, q, d, n, ranges):
     """Normal equations from the weights and views in d; those of the covariance are `capped`: near
     an anchor's pole, its azimuth counts as at one deviation of the elevation from it.
     """
@@ -195,6 +229,17 @@ def equations(flat, capped, q, d, n):
         g0 += a * p0 * d[DA, j] + e * h0 * d[DE, j]
         g1 += a * p1 * d[DA, j] + e * h1 * d[DE, j]
         g2 += a * p2 * d[DA, j] + e * h2 * d[DE, j]
+    if ranges > 0:
+        for j in range(n + -n % LANES):
+            u, v, w, a = d[U, j], d[V, j], d[W, j], d[CR, j]
+            i = 1.0 / math.sqrt(max(u * u + v * v, TINY) + w * w)
+            p0 = (u * q[R00, j] + v * q[R10, j] + w * q[R20, j]) * i
+            p1 = (u * q[R01, j] + v * q[R11, j] + w * q[R21, j]) * i
+            p2 = (u * q[R02, j] + v * q[R12, j] + w * q[R22, j]) * i
+            a00, a10, a11 = a00 + a * p0 * p0, a10 + a * p0 * p1, a11 + a * p1 * p1
+            a20, a21, a22 = a20 + a * p0 * p2, a21 + a * p1 * p2, a22 + a * p2 * p2
+            a = a * d[DR, j]
+            g0, g1, g2 = g0 + a * p0, g1 + a * p1, g2 + a * p2
     if flat:
         a20, a21, a22, g2 = 0.0, 0.0, a00 + a11, 0.0
     return a00, a10, a11, a20, a21, a22, g0, g1, g2

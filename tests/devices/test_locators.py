@@ -51,6 +51,18 @@ def test_directions_turn_as_in_the_makers_own_plot(rng):
         )
 
 
+def test_locators_face_along_their_z_axis():
+    wall = read({"locators": [locator("a", turn=(0, 90, 0)), locator("b", turn=(0, 90, 90)), locator("c", turn=(90, 0, 0))]})  # fmt: skip
+    np.testing.assert_allclose(np.rad2deg(wall.facing), [0, 90, -90], atol=1e-9)
+    assert read({"locators": [locator("a", turn=(0, 180, 30)), locator("b", turn=(0, 90, 0))]}).facing is None  # fmt: skip
+
+
+def test_other_json_is_a_table():
+    found = read([{"id": "a", "x_m": 1, "y_m": 2}, {"id": "b", "x_m": 3, "y_m": 4}])
+    assert found.ids == ["a", "b"]
+    np.testing.assert_array_equal(found.anchors.position[0, 0], [[1, 2, 0], [3, 4, 0]])
+
+
 def test_masks_are_noted():
     assert read({"locators": [locator("a", azimuthMask=[])]}).notes == ()
     (note,) = read(
@@ -60,14 +72,17 @@ def test_masks_are_noted():
 
 
 BAD = {
-    "not json": ("{", "JSON"),
-    "none": ({"locators": []}, "at least one row"),
-    "no id": ({"locators": [{}]}, "locator 1 has not"),
-    "twice": ({"locators": [locator("a"), locator("a")]}, "each id once; locator 2 has id='a'"),
-    "no place": ({"locators": [{"id": "a"}]}, "locator 1 has not"),
-    "text": ({"locators": [locator("a", ("east", 2, 3))]}, "locator 1 has x_m='east'"),
-    "infinite": ('{"locators": [{"id": "a", "coordinate": {"x": Infinity, "y": 1, "z": 1}}]}', "x_m=inf"),
-    "far round": ({"locators": [locator("a", turn=(0, 0, 720))]}, "within +-360 deg; locator 1 has facing_deg=720"),
+    "torn": ('{"locators": [', "not JSON"),
+    "no JSON": ("{", "JSON"),
+    "another list": ('{"locators": {}}', "a list locators"),
+    "none": ({"locators": []}, "a list locators"),
+    "no id": ({"locators": [{}]}, "locator 0 has the id None"),
+    "twice": ({"locators": [locator("a"), locator("a")]}, "locator 1 has the id 'a'"),
+    "no place": ({"locators": [{"id": "a"}]}, "locator a has coordinate=None"),
+    "text": ({"locators": [locator("a", ("1", 2, 3))]}, "locator a has coordinate="),
+    "huge": ({"locators": [locator("a", (10**400, 2, 3))]}, "locator a has coordinate="),
+    "infinite": ('{"locators": [{"id": "a", "coordinate": {"x": Infinity, "y": 1, "z": 1}}]}', "coordinate="),
+    "far round": ({"locators": [locator("a", turn=(0, 0, 720))]}, "within +-360; locator a has orientation"),
 }  # fmt: skip
 
 

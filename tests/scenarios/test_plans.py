@@ -130,8 +130,8 @@ def test_units_beyond_metres():
 
 def test_clocks_and_heights():
     Path("a.csv").write_text("x_m,y_m,clock_offset_s\n0,0,1.5\n1,0,-0.25\n")
-    assert read_anchors("anchors", "a.csv").clock_offset.tolist() == [1.5, -0.25]
-    assert read_anchors("anchors", "local.csv").clock_offset is None
+    assert read_anchors("anchors", "a.csv").clock_offset_s.tolist() == [1.5, -0.25]
+    assert read_anchors("anchors", "local.csv").clock_offset_s is None
     Path("a.csv").write_text("Lat,Lon,z_m\n60,24,3\n60,24.0001,4\n")
     found = read_anchors("anchors", "a.csv", HERE)
     np.testing.assert_allclose(found.anchors.position[0, 0, :, 2], [3, 4], atol=1e-5)

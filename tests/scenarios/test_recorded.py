@@ -352,8 +352,7 @@ MISTAKES = {
     "infinite": (HEAD + "1,a1,inf,1,1,1\n", {}, ["line 2 has azimuth_deg=inf"]),
     "decimal commas": (HEAD + "1,a1,1,1,1,1\n1,a2,12,5,1,1,1\n", {}, ["6 cells", "line 3 has more"]),
     "decimal commas first": (HEAD + "1,a1,12,5,1,1,1\n1,a2,1,1,1,1\n", {}, ["6 cells"]),
-    "conflicting duplicates": (HEAD + "1,a1,1,1,1,1\n1,a2,7,1,1,1\n1,a1,2,1,1,1\n", {}, ["line 2", "line 4", "azimuth_deg=1", "azimuth_deg=2", "anchor='a1'", "scenario.duplicates=first or last"]),
-    "truth differs": (HEAD + "1,a1,1,1,1,1\n1,a2,2,1,1,1.01\n", {}, ["line 2 has y_m=1", "line 3 has y_m=1.01", "one y_m"]),
+    "conflicting duplicates": (HEAD + "1,a1,1,1,1,1\n1,a2,7,1,1,1\n1,a1,2,1,1,1\n", {}, ["line 2", "line 4", "azimuth_deg=1", "azimuth_deg=2", "anchor='a1'", "scenario.combine=median, mean or each"]),
     "header alone": (HEAD, {}, ["scenario.path='log.csv'", "at least one row"]),
     "empty": ("", {}, ["scenario.path='log.csv'", "empty"]),
     "open quote": (HEAD + '1,a1,1,1,1,"1\n', {}, ["scenario.path='log.csv'", "readable"]),
@@ -439,17 +438,19 @@ def test_a_misspelt_anchor_is_guessed(here):
 def test_duplicates(here):
     same = HEAD + "1,a1,1,,1,1\n1,a1,1,,1,1\n1,a2,3,,1,1\n"
     s = read(same)
-    assert s.notes[-1] == "log.csv: 1 rows left out: further rows of an anchor in a fix"
+    assert s.notes[-1] == (
+        "log.csv: 1 of 3 rows not used: further rows of an anchor in a fix (scenario.combine)"
+    )
     differ = same.replace("1,a1,1,,1,1\n1,a2", "1,a1,2,,1,1\n1,a2")
     for which, value in (("first", 1), ("last", 2)):
-        s = read(differ, duplicates=which)
+        s = read(differ, combine=which)
         np.testing.assert_allclose(np.rad2deg(s.recorded.azimuth), [[value, 3, math.nan]])
 
 
 def test_unknown_anchors_may_be_ignored(here):
     s = read(LOG + "2,a9,1,1,1,3,2,1\n", unknown_anchors="ignore")
     assert s.recorded.azimuth.shape == (2, 3)
-    assert s.notes[0] == "log.csv: 1 rows of unknown anchors left out"
+    assert s.notes[1] == "log.csv: 1 rows of unknown anchors left out"
 
 
 def test_rad_declared_as_deg_is_doubted(here):

@@ -72,9 +72,9 @@ def thresholded(f: Fixes, coverage: float) -> np.ndarray:
     e = error(f)
     score = np.where(np.isfinite(f.score), f.score, np.inf)
     score = np.where(np.isfinite(e), score, np.nan)
-    order = np.sort(score[np.isfinite(e)])
-    keep = min(round(coverage * e.size), len(order))
-    return np.where(score <= order[max(keep - 1, 0)], e, np.nan)
+    known = score[np.isfinite(e)]
+    last = max(min(round(coverage * e.size), len(known)) - 1, 0)
+    return np.where(score <= np.partition(known, last)[last], e, np.nan)
 
 
 def rejection(runs: Runs) -> pd.DataFrame:

@@ -36,16 +36,16 @@ def robust(runs: Runs) -> pd.DataFrame:
     for name in VARIANTS:
         for other in METHODS:
             rows.append(_row("all", name, other, np.nan, errors[name], errors[other]))
-        for r, f in filters(fixes).items():
-            df = error(f)
-            given = np.isfinite(df)
+    for r, f in filters(fixes).items():
+        df = error(f)
+        given = np.isfinite(df)
+        others = {f"df {r:g}": df}
+        others |= {m: thresholded(fixes[m], given.mean()) for m in SCORED}
+        for name in VARIANTS:
             same = np.where(given, errors[name], np.nan)
             as_many = thresholded(fixes[name], given.mean())
             rows.append(_row("accepted", name, f"df {r:g}", r, same, df))
-            rows.append(_row("coverage", name, f"df {r:g}", r, as_many, df))
-            for other in SCORED:
-                e = thresholded(fixes[other], given.mean())
-                rows.append(_row("coverage", name, other, r, as_many, e))
+            rows += [_row("coverage", name, m, r, as_many, e) for m, e in others.items()]
     return pd.DataFrame(rows)
 
 
