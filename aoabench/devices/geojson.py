@@ -28,6 +28,7 @@ _DEPTH = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "P
           "MultiPolygon": 3}  # fmt: skip
 _NOWHERE = "without a geometry"
 _WORDS = ("feature_type", "category", "type", "indoor", "class", "layer", "Layer")
+_LEVELS = ("level", "level_id", "floor")
 _WIDTHS = ("width_m", "width", "door:width")
 
 
@@ -54,6 +55,12 @@ class _Part(NamedTuple):
         """The words that say what the feature is, in lower case."""
         words = (self.properties.get(name) for name in ("kind", *_WORDS))
         return {word.strip().lower() for word in words if isinstance(word, str)}
+
+    @property
+    def level(self) -> str:
+        """The floor that the feature belongs to, or an empty text."""
+        stated = (self.properties.get(name) for name in _LEVELS)
+        return next((str(level) for level in stated if level is not None), "")
 
     @property
     def width_m(self) -> float | None:
@@ -101,7 +108,7 @@ def read_drawing(text: str, file: str, layers: Collection[str] | None = None) ->
             visited += _areas(part)
         else:
             lines += _lines(part)
-            levels[str(part.properties.get("level", ""))] = None
+            levels[part.level] = None
     names = [level for level in levels if level]
     notes = (f"{file}: the levels {listed(names)} are read as one floor",) if len(names) > 1 else ()
     node = _mapping(content)

@@ -29,7 +29,7 @@ WALL_COLUMNS = ("x0_m", "y0_m", "x1_m", "y1_m")
 LEAST_M = 1.0  # extent below which a plan within the range of degrees is not taken for one in m
 SAME_M = 1e-4  # corners of two walls nearer than this are one
 TABLES = (".csv", ".tsv", ".txt", ".xlsx", ".parquet", ".pq")
-FORMS = "a file .geojson (or .json), .csv (or another table) or .dxf"
+FORMS = "a file .geojson (or .json), .csv (or another table) or .dxf (save .dwg as .dxf)"
 
 
 class Plan(NamedTuple):
@@ -83,7 +83,7 @@ def read_plan(key: str, path: Path, frame: Frame | None = None) -> Plan:
     degrees near a known origin are degrees.
     """
     frame = frame or Frame()
-    drawing = _drawing(key, path, frame.layers)
+    drawing = _drawing(key, path, frame)
     if not len(drawing.segments):
         doors = f"{len(drawing.doors)} doors" if drawing.doors else ""
         content = ", ".join(filter(None, (doors, drawing.others)))
@@ -137,7 +137,7 @@ def _notes(drawing: Drawing, unused: int) -> list[str]:
     return found
 
 
-def _drawing(key: str, path: Path, layers: Sequence[str] | None) -> Drawing:
+def _drawing(key: str, path: Path, frame: Frame) -> Drawing:
     """The content of a file, in its own coordinates."""
     kind = path.suffix.lower()
     if kind in TABLES:
@@ -146,9 +146,9 @@ def _drawing(key: str, path: Path, layers: Sequence[str] | None) -> Drawing:
         return Drawing(list(ends.reshape(-1, 2, 2)), notes=table.notes)
     try:
         if kind in (".geojson", ".json"):
-            return geojson.read_drawing(_text(key, path), path.name, layers)
+            return geojson.read_drawing(_text(key, path), path.name, frame.layers)
         if kind == ".dxf":
-            return dxf.read_drawing(loaded.read(path)[0], path.name, layers)
+            return dxf.read_drawing(loaded.read(path)[0], path.name, frame.layers, frame.unit)
     except ValueError as error:
         raise BadValue(key, str(path), str(error)) from None
     raise BadValue(key, str(path), FORMS)

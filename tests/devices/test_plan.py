@@ -305,8 +305,10 @@ def drawing(unit=4, size=1000.0):
     space.add_line((0, 0), (5 * size, 5 * size), dxfattribs={"layer": "OLD"})
     space.add_text("office", dxfattribs={"layer": "WALLS"})
     block = document.blocks.new("STUB")
-    block.add_line((0, 0), (0, size), dxfattribs={"layer": "WALLS"})
-    space.add_blockref("STUB", (9 * size, size), dxfattribs={"xscale": 2, "yscale": 2})
+    block.add_line((0, 0), (0, size))  # in layer 0, which is that of the insert
+    outer = document.blocks.new("OUTER")
+    outer.add_blockref("STUB", (0, 0), dxfattribs={"xscale": 2, "yscale": 2})
+    space.add_blockref("OUTER", (9 * size, size), dxfattribs={"layer": "WALLS"})
     document.saveas("w.dxf")
 
 
@@ -336,9 +338,27 @@ def test_all_layers_and_curves():
     round_ = shapely.Point(3, 3).buffer(1, quad_segs=200).exterior
     inside = outline(plan.walls).intersection(shapely.Point(3, 3).buffer(1.5))
     assert inside.hausdorff_distance(round_) < 0.0101
+    drawing(unit=4, size=1.0)  # states mm, is in m
+    declared = read_plan("walls", Path("w.dxf"), Frame(unit="m"))
+    again = outline(declared.walls).intersection(shapely.Point(3, 3).buffer(1.5))
+    assert again.hausdorff_distance(round_) < 0.0101
+    assert "read in m, as declared; the drawing states mm" in " ".join(declared.notes)
+    drawing(unit=6, size=1.0)
     declared = read_plan("walls", Path("w.dxf"), Frame(unit="mm"))
     assert declared.walls.max() == pytest.approx(0.012)
     assert "read in mm, as declared; the drawing states m" in " ".join(declared.notes)
+
+
+def test_a_block_within_itself_ends():
+    ezdxf = pytest.importorskip("ezdxf")
+    document = ezdxf.new()
+    block = document.blocks.new("LOOP")
+    block.add_line((0, 0), (1, 1))
+    block.add_blockref("LOOP", (1, 0))
+    document.modelspace().add_blockref("LOOP", (0, 0))
+    document.saveas("w.dxf")
+    with pytest.raises(BadValue, match="nested at most 20 deep"):
+        read_plan("walls", Path("w.dxf"))
 
 
 def test_broken_drawings_give_one_line(monkeypatch):
