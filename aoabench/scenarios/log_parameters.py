@@ -150,7 +150,7 @@ class LogParameters(Scenario, ABC):
     )
     height_m: float | None = param(
         None,
-        "known height of the target, for methods in the plane; null: the true z if constant",
+        "known height of the target, for methods in the plane; null: unknown",
         unit="m",
     )
     bounds_m: Sequence[Sequence[float]] | None = param(
@@ -172,6 +172,14 @@ class LogParameters(Scenario, ABC):
     )
     truth_offset_s: float = param(
         0.0, "what is added to the times of true positions", unit="s", least=-1e12, most=1e12
+    )
+    step_s: float | None = param(
+        None,
+        "time from fix to fix, for filters on a log without times; null: they do not run on it",
+        unit="s",
+        least=1e-6,
+        most=1e6,
+        key="dt",
     )
     motion: Motion | None = param(
         None, "motion model that filters assume; null: fixes are independent", kind=Motion
