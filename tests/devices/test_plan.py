@@ -137,6 +137,15 @@ def test_any_doors_leave_what_shapely_leaves(rng):
         )
 
 
+def test_a_door_that_only_touches_a_wall_opens_none():
+    wall = np.array([[[0.0, 0.0], [10.0, 0.0]]])
+    found, unused = cut(wall, [Door(np.array([[10.0, 0.0], [11.0, 0.0]]))])
+    assert unused == 1
+    np.testing.assert_array_equal(found, wall)
+    found, unused = cut(wall, [Door(np.array([[-1.0, 0.0], [11.0, 0.0]]))])
+    assert (len(found), unused) == (0, 0)
+
+
 def test_walls_without_doors_keep_their_bits_and_order(rng):
     walls = rng.normal(size=(40, 2, 2)) * 30
     door = Door(walls[17])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aoabench.devices.anchors import read_anchors
+from aoabench.devices.floor_plan import FloorPlan
 from aoabench.devices.geodesy import Origin
 from aoabench.errors import BadValue
 from aoabench.models.motion import ConstantAcceleration
@@ -108,10 +109,13 @@ def test_rooms_are_separate_and_a_route_through_their_wall_is_told():
     assert not other.hears(other.truth(None)[:, :3]).any()
     through = site(route=[[1, 1], [20, 1], [20, 4], [5, 4]])
     (note,) = through.notes
-    assert "the route goes through walls at 2 places, first near (12, 1)" in note
+    assert "the route goes through or touches walls at 2 places, first near (12, 1)" in note
     assert inside.notes == ()
-    touching = site(route=[[1, 1], [11, 1], [11, 6]])
-    assert touching.notes == ()
+    files = [Path("local.csv"), Path("local.geojson")]
+    plan = FloorPlan.read(files)
+    for highest, places in ((5.99, None), (6, 1), (6.5, 2)):
+        notes = plan.crossings(np.array([[1.0, 1], [11, highest], [2, 1]]))
+        assert [f"at {places} places" in note for note in notes] == [True] * (places is not None)
 
 
 def test_a_turn_back_is_a_route():
