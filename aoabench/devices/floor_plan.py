@@ -139,9 +139,8 @@ class FloorPlan:
         places = shapely.points(shapely.get_coordinates(shapely.intersection(through, way)))
         first = places[int(np.argmin(shapely.line_locate_point(way, places)))]
         where = f"at {len(places)} places, first near ({first.x:.4g}, {first.y:.4g})"
-        return (
-            f"the route goes through or touches walls {where}: walls hide access nodes, not the way",
-        )
+        line = f"the route goes through or touches walls {where}"
+        return (f"{line}: walls hide access nodes, not the way",)
 
     def _ids(self, which: Sequence[int] | np.ndarray) -> str:
         """The ids of some anchors, at most ten of them."""
