@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +20,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 KINDS = (".csv", ".parquet", ".geojson")
-DECIMALS = 6  # of lengths in m and angles in deg in texts: micrometres
-_LENGTHS = ("_m", "_deg", "_m2", "score")
+DECIMALS = 6  # of numbers in texts: micrometres and microseconds
+_ROUNDED = ("_s", "_m", "_deg", "_m2", "score")
 ToDegrees = Callable[[Array], Array]  # positions (N, 2) m to longitudes and latitudes (N, 2) deg
 
 
@@ -30,6 +32,32 @@ def check_out(out: Path, read: Sequence[str | None]) -> None:
     for name in read:
         if name is not None and out.resolve() == Path(name).resolve():
             raise BadValue("-o", str(out), "another file than those that are read")
+
+
+def check_stream_out(out: Path | None, read: Sequence[str | None]) -> None:
+    """Raise BadValue unless `out` is a CSV file that is not `read`, or None."""
+    if out is not None:
+        check_out(out, read)
+        if out.suffix.lower() != ".csv":
+            raise BadValue("-o", str(out), "a file that ends in .csv, for a stream")
+
+
+@contextmanager
+def opened(out: Path | None) -> Iterator[Callable[[pd.DataFrame], None]]:
+    """Yield a function that appends the rows of tables to the CSV file `out`, None for standard
+    output; the first one also writes the header.
+    """
+    with ExitStack() as stack:
+        file = sys.stdout.buffer if out is None else stack.enter_context(out.open("wb"))
+        first = True
+
+        def write(frame: pd.DataFrame) -> None:
+            nonlocal first
+            file.write(csv_text(frame, header=first))
+            file.flush()
+            first = False
+
+        yield write
 
 
 def write(
@@ -51,25 +79,29 @@ def write(
 
 def csv_text(frame: pd.DataFrame, header: bool = True) -> bytes:
     """The table as CSV in UTF-8; a cell is empty where nothing is known."""
+    import pandas as pd
     import pyarrow as pa
     from pyarrow import csv
 
-    shown = rounded(frame)
+    columns = rounded(frame)
     sink = pa.BufferOutputStream()
     how = csv.WriteOptions(include_header=False, quoting_style="none")
     try:
-        csv.write_csv(pa.Table.from_pandas(shown, preserve_index=False), sink, how)
+        arrays = {name: pa.array(column, from_pandas=True) for name, column in columns.items()}
+        csv.write_csv(pa.table(arrays), sink, how)
     except pa.ArrowInvalid:  # a cell needs quotes
-        return bytes(shown.to_csv(index=False, header=header, lineterminator="\n").encode())
-    names = ",".join(map(str, frame.columns)) + "\n"
+        quoted = pd.DataFrame(columns).to_csv(index=False, header=header, lineterminator="\n")
+        return bytes(quoted.encode())
+    names = ",".join(columns) + "\n"
     rows: bytes = sink.getvalue().to_pybytes()
     return names.encode() * header + rows
 
 
-def rounded(frame: pd.DataFrame) -> pd.DataFrame:
-    """The frame with lengths, angles and scores at DECIMALS."""
-    chosen = [name for name in map(str, frame.columns) if name.endswith(_LENGTHS)]
-    return frame.assign(**{name: np.round(frame[name], DECIMALS) for name in chosen})
+def rounded(frame: pd.DataFrame) -> dict[str, np.ndarray]:
+    """The columns of a table, with times, lengths, angles and scores at DECIMALS."""
+    columns = {str(name): frame[name].to_numpy() for name in frame.columns}
+    numbers = {name for name in columns if name.endswith(_ROUNDED)}
+    return {n: np.round(c, DECIMALS) + 0.0 if n in numbers else c for n, c in columns.items()}
 
 
 def geojson(frame: pd.DataFrame, degrees: ToDegrees | None) -> Iterator[str]:
@@ -85,7 +117,7 @@ def geojson(frame: pd.DataFrame, degrees: ToDegrees | None) -> Iterator[str]:
     yield '"units": "m", ' if degrees is None else ""
     yield '"features": ['
     heights = np.round(frame["z_m"].to_numpy(dtype=float), DECIMALS)
-    rows = rounded(frame).to_dict("records")
+    rows = frame.assign(**rounded(frame)).to_dict("records")
     for i, (row, place, z) in enumerate(zip(rows, places, heights)):
         point = [*place.tolist(), *([float(z)] if math.isfinite(z) else [])]
         geometry = {"type": "Point", "coordinates": point} if given[i] else None

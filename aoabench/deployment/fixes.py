@@ -92,7 +92,7 @@ def ellipses(estimates: Estimates) -> tuple[Array, Array, Array]:
     with np.errstate(invalid="ignore"):
         minor = np.sqrt(np.maximum(middle - apart, 0.0))
         turn = np.degrees(np.arctan2(2 * xy, xx - yy) / 2)
-    return np.sqrt(middle + apart), minor, turn
+    return np.sqrt(middle + apart), minor, np.where(turn <= -90.0, 90.0, turn)
 
 
 def _root_mean_square(residuals: Residuals, name: str, F: int) -> Array:

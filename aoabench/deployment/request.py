@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from aoabench.devices.anchors import read_anchors
 from aoabench.errors import UserError
 from aoabench.roles import Estimator
 from aoabench.scenarios.recorded import Recorded
@@ -84,15 +83,6 @@ class Asked:
     scenario: Recorded
     name: str
     method: Estimator
-
-    @property
-    def anchor_names(self) -> list[str]:
-        """The anchors' names (B,)."""
-        if isinstance(self.scenario.anchors, str):
-            return read_anchors("anchors", self.scenario.anchors).ids
-        ids = self.scenario.anchor_ids
-        count = self.scenario.true_anchors.count
-        return list(map(str, range(1, count + 1) if ids is None else ids))
 
     @classmethod
     def of(cls, cell: Cell) -> Asked:
