@@ -173,6 +173,14 @@ class LogParameters(Scenario, ABC):
     truth_offset_s: float = param(
         0.0, "what is added to the times of true positions", unit="s", least=-1e12, most=1e12
     )
+    step_s: float | None = param(
+        None,
+        "time from fix to fix, for filters on a log without times; null: they do not run on it",
+        unit="s",
+        least=1e-6,
+        most=1e6,
+        key="dt",
+    )
     motion: Motion | None = param(
         None, "motion model that filters assume; null: fixes are independent", kind=Motion
     )

@@ -79,6 +79,7 @@ class Recorded(LogParameters):
         with loaded.reading() as files:  # now, so that mistakes are reported at construction
             found = self._read.tracks
         object.__setattr__(self, "_files", files())
+        object.__setattr__(self, "dt", 1.0 if self.step_s is None else float(self.step_s))
         object.__setattr__(self, "replications", len(found.counts))
         object.__setattr__(self, "shares_positions", len(found.counts) == 1)
         truth = found.truth
@@ -148,12 +149,17 @@ class Recorded(LogParameters):
         return found
 
     def offers(self) -> frozenset[str]:
-        """The offers of all scenarios, less several anchors if no fix has measurements by two."""
+        """The offers of all scenarios, less several anchors if no fix has measurements by two, and
+        less motion if the times between fixes are unknown.
+        """
         found = self.tracks
         first = np.unique(found.columns, return_index=True)[1]
         heard = np.logical_or.reduceat(np.isfinite(found.measured.azimuth), first, axis=1)
         lone = heard.sum(axis=1).max(initial=0) < 2
-        return super().offers() - (frozenset({"several_anchors"} if lone else ()))
+        unknown = np.isnan(found.time)
+        timeless = unknown.any() and (self.step_s is None or not unknown.all())
+        less = ({"several_anchors"} if lone else set()) | ({"motion"} if timeless else set())
+        return super().offers() - less
 
     def unheard(self) -> BadValue:
         """The error for a log without any measurement."""

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from aoabench.errors import BadValue
 from aoabench.maths.geometry import LIGHT
+from aoabench.models.motion import RandomWalk
 from aoabench.scenarios.recorded import Columns, Recorded
 
 ANCHORS = "id,x_m,y_m,z_m,facing_deg\na1,0,0,2,0\na2,6,0,2,90\na3,6,6,2,-135\n"
@@ -58,6 +61,64 @@ def walk(rng, tag, events=40, packets=1, late_s=0.05):
                 rows.append([at, k, tag, anchor, *angles, k / 7, k / 3])
     names = ["time_s", "sequence", "tag", "anchor", "azimuth_deg", "elevation_deg", "x_m", "y_m"]
     return pd.DataFrame(rows, columns=names)
+
+
+# --- a slow plain grouping, and hypothesis -------------------------------------------------------
+
+ROWS = st.lists(
+    st.tuples(
+        st.integers(0, 400), st.sampled_from(["p", "q"]), st.sampled_from(["a1", "a2", "a3"]),
+        st.integers(-170, 170),
+    ),
+    min_size=1, max_size=40,
+)  # fmt: skip
+
+
+def slow(rows, windows, window, combine):
+    """Tag, number of packets, mean time, and per anchor the combined azimuth, of each fix."""
+    found = []
+    for tag in sorted({row[1] for row in rows}):
+        fixes = []
+        for t, _, anchor, azimuth in sorted(row for row in rows if row[1] == tag):
+            new = not fixes
+            if fixes and windows == "grid":
+                new = t // window != fixes[-1][-1][0] // window
+            elif fixes:
+                new = t - fixes[-1][0 if windows == "first" else -1][0] > window
+            if new:
+                fixes.append([])
+            fixes[-1].append((t, anchor, azimuth))
+        for fix in fixes:
+            each = {}
+            for anchor in ("a1", "a2", "a3"):
+                mine = sorted((t, azimuth) for t, other, azimuth in fix if other == anchor)
+                if mine:
+                    each[anchor] = mine[0 if combine == "first" else -1][1]
+            found.append((tag, len(fix), np.mean([t for t, _, _ in fix]) / 10, each))
+    return found
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    rows=ROWS,
+    windows=st.sampled_from(["first", "grid", "chained"]),
+    window=st.sampled_from([1, 3, 25]),
+    combine=st.sampled_from(["first", "last"]),
+    seed=st.integers(0, 9),
+)
+def test_grouping_against_a_slow_plain_one(rows, windows, window, combine, seed):
+    names = ["time_s", "tag", "anchor", "azimuth_deg"]
+    log = pd.DataFrame([(t / 10, *rest) for t, *rest in rows], columns=names)
+    grouping = {"window_s": window / 10, "windows": windows, "combine": combine}
+    t = read(log.sample(frac=1, random_state=seed), **grouping).tracks
+    tags = np.repeat(np.array(t.tags, dtype=object), t.counts)
+    expected = slow(rows, windows, window, combine)
+    assert list(zip(tags, t.packets)) == [one[:2] for one in expected]
+    np.testing.assert_allclose(t.time, [one[2] for one in expected], atol=1e-9)
+    wanted = [[each.get(a, NAN) for a in ("a1", "a2", "a3")] for *_, each in expected]
+    np.testing.assert_allclose(np.rad2deg(t.measured.azimuth), wanted, atol=1e-9)
 
 
 # --- windows --------------------------------------------------------------------------------------
@@ -115,28 +176,28 @@ LAWS = [
 ]
 
 
-@pytest.mark.parametrize("given", LAWS, ids=str)
-def test_the_order_of_rows_does_not_matter(rng, given):
-    packets = 3 if "combine" in given else 1
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_the_order_of_rows_does_not_matter(rng, law):
+    packets = 3 if "combine" in law else 1
     log = pd.concat([walk(rng, tag, packets=packets) for tag in ("T2", "T10")])
-    first = read(log, **given).tracks
+    first = read(log, **law).tracks
     assert set(first.tags) == {"T2", "T10"}
     for seed in range(3):
-        same(first, read(log.sample(frac=1, random_state=seed), **given).tracks)
+        same(first, read(log.sample(frac=1, random_state=seed), **law).tracks)
 
 
-@pytest.mark.parametrize("given", LAWS, ids=str)
-def test_tags_overlaid_are_the_tracks_of_their_own_logs(rng, given):
-    packets = 3 if "combine" in given else 1
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_tags_overlaid_are_the_tracks_of_their_own_logs(rng, law):
+    packets = 3 if "combine" in law else 1
     logs = {tag: walk(rng, tag, packets=packets) for tag in ("T2", "T10", "a")}
     both = pd.concat(logs.values()).sample(frac=1, random_state=1)
-    together = read(both, **given).tracks
+    together = read(both, **law).tracks
     start = 0
     for tag in sorted(logs, key=lambda tag: ("a", "T2", "T10").index(tag)):
-        alone = read(logs[tag], **given).tracks
+        alone = read(logs[tag], **law).tracks
         fixes = slice(start, start + len(alone.time))
         start = fixes.stop
-        one = read(both, tags=[tag], **given).tracks
+        one = read(both, tags=[tag], **law).tracks
         same(alone, one)
         np.testing.assert_array_equal(together.time[fixes], alone.time)
         np.testing.assert_array_equal(together.fix[fixes], alone.fix)
@@ -148,6 +209,33 @@ def test_tags_overlaid_are_the_tracks_of_their_own_logs(rng, given):
             np.testing.assert_array_equal(found[:, : wanted.shape[1]], wanted)
             assert np.isnan(found[:, wanted.shape[1] :]).all()
     assert start == len(together.time)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_a_log_may_be_split_into_files(rng, law):
+    """By rows, or one file an anchor without a column of anchors."""
+    packets = 3 if "combine" in law else 1
+    log = pd.concat([walk(rng, tag, packets=packets) for tag in ("T2", "T10")])
+    whole = read(log, **law)
+    log.iloc[:50].to_csv("part_1.csv", index=False)
+    log.iloc[50:].to_parquet("part_2.parquet")
+    same(
+        whole.tracks,
+        Recorded("recorded", ["part_2.parquet", "part_1.csv"], "anchors.csv", **law).tracks,
+    )
+    same(whole.tracks, Recorded("recorded", "part_*", "anchors.csv", **law).tracks)
+    for anchor, rows in log.groupby("anchor"):
+        rows.drop(columns="anchor").to_csv(f"{anchor}.csv", index=False)
+    s = Recorded("recorded", "a?.csv", "anchors.csv", **law)
+    same(whole.tracks, s.tracks)
+    assert len(s.files) == 4
+
+
+def test_each_file_may_be_a_tag():
+    for name in ("walk_10", "walk_2"):
+        Path(f"{name}.csv").write_text("time_s,anchor,azimuth_deg\n0,a1,1\n0,a2,2\n")
+    s = Recorded("recorded", "walk_*.csv", "anchors.csv", columns=Columns(tag="file"))
+    assert s.tracks.tags == ("walk_2", "walk_10")
 
 
 def test_tracks_are_in_natural_order_of_tags():
@@ -315,6 +403,14 @@ def test_fixes_have_times_that_need_not_compare():
 # --- times ----------------------------------------------------------------------------------------
 
 
+def test_a_window_that_takes_everything_is_noted():
+    log = "time_s,anchor,azimuth_deg\n" + "".join(f"{k / 10},a{1 + k % 2},1\n" for k in range(30))
+    assert any(
+        "all rows of a tag make one fix" in n for n in read(log, window_s=60, combine="mean").notes
+    )
+    assert len(read(log, window_s=0.1, combine="mean").notes) == 1
+
+
 def test_dates_are_seconds_since_1970():
     s = read("time_s,anchor,azimuth_deg\n2024-05-01T14:00:00.5+02:00,a1,1\n")
     assert s.tracks.time[0] == pd.Timestamp("2024-05-01T12:00:00.5Z").timestamp()
@@ -335,6 +431,18 @@ def test_whole_seconds_far_apart_are_doubted():
     assert any("typically 100 s apart; if these are milliseconds" in n for n in read(log).notes)
     slow = log.replace("00,a1", "00.5,a1")
     assert len(read(slow).notes) == 1
+
+
+def test_filters_need_times():
+    log = "fix,anchor,azimuth_deg,elevation_deg\n1,a1,2,3\n1,a2,2,3\n2,a1,3,3\n"
+    walking = {"motion": RandomWalk()}
+    assert "motion" not in read(log, **walking).offers()
+    s = read(log, **walking, step_s=0.5)
+    assert "motion" in s.offers()
+    assert s.dt == 0.5
+    timed = log.replace("fix,", "time_s,")
+    assert "motion" in read(timed, **walking).offers()
+    assert "motion" not in read(timed).offers()
 
 
 # --- several packets of an anchor -----------------------------------------------------------------

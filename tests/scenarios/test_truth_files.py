@@ -57,6 +57,37 @@ def test_the_largest_gap_is_inclusive_and_an_instant_counts_across_no_gap():
     np.testing.assert_allclose(positions(text, (2.0,), truth_gap_s=2)[0, :2], [4, 6])
 
 
+def test_a_place_that_stays_is_known_across_a_gap():
+    text = "time_s,x_m,y_m\n0,3,3\n60,3,3\n120,9,9\n"
+    found = positions(text, (30.0, 90.0))
+    np.testing.assert_allclose(found[:, 0], [3, NAN])
+    s = read(text, (30.0, 90.0))
+    assert any("true positions at 1 of 2 rows" in line for line in s.notes)
+
+
+def test_true_positions_come_from_one_place():
+    log = "time_s,anchor,azimuth_deg,x_m,y_m\n0,a1,1,3,4\n"
+    with pytest.raises(
+        BadValue, match=r"truth='truth\.csv' .*positions of its own; it has x_m, y_m"
+    ):
+        read("time_s,x_m,y_m\n0,1,1\n", log=log)
+
+
+def test_truth_in_degrees_needs_an_origin():
+    text = "time_s,latitude,longitude\n0,60.0001,24.0002\n4,60.0001,24.0002\n"
+    with pytest.raises(BadValue, match=r"origin_deg=None .*truth\.csv is in degrees"):
+        read(text)
+    found = positions(text, origin_deg=[60.0, 24.0])
+    np.testing.assert_allclose(found[:, :2], np.tile([11.16, 11.14], (5, 1)), atol=0.01)
+    assert np.isnan(found[:, 2]).all()
+
+
+def test_marks_are_numbered():
+    text = "start_s,end_s,x_m,y_m\n0,1,3,2\n2,2.5,5,6\n3,4,3,2\n"
+    assert list(read(text).marks) == [0, 0, 1, 0, 0]
+    assert list(read(text, (0.0, 1.5, 2.1)).marks) == [0, -1, 1]
+
+
 def test_packets_of_a_window_are_averaged():
     text = "time_s,x_m,y_m\n0,0,0\n1,10,0\n"
     log = "time_s,anchor,azimuth_deg\n0.1,a1,1\n0.3,a2,1\n"
