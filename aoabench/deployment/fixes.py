@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 MAX_SIGMA = "max_sigma"  # the reason of a fix that is rejected for its stated deviation
 COVARIANCES = tuple(f"cov_{pair}_m2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
+# anchors_used are all heard where the method does not count them, as filters do not.
 # A position is given where the outcome is ok, oscillated or diverged. sigma_major_m and
 # sigma_minor_m are the half-axes of the ellipse of one standard deviation in the plane,
 # ellipse_deg is the direction of the longer one, counter-clockwise from +x. Residuals are the root
@@ -53,6 +54,9 @@ def table(
     found |= {"track": np.repeat(numbers, tracks.counts)}
     found |= {"tag": np.repeat(tag, tracks.counts), "fix": tracks.fix, "time_s": tracks.time}
     found |= {"anchors_heard": heard(tracks), "packets": tracks.packets}
+    if estimates.anchors_used is None:
+        given = np.isfinite(estimates.position[0, :, 0])
+        found["anchors_used"] = np.where(given, found["anchors_heard"], np.nan)
     for name in ("azimuth", "elevation"):
         rms = _root_mean_square(solved.residuals, name, F)
         found[f"residual_{name}_deg"] = np.degrees(rms)

@@ -94,7 +94,7 @@ class Method:
             prior=belief,
             last=Filtered(*(_cut(a, method.innovation_steps) for a in seen)),
         )
-        residuals = residuals_of(batch, estimates.position, self.scenario.known_height_m)
+        residuals = residuals_of(batch, estimates.position)
         return Solved(estimates, residuals, {})
 
 
