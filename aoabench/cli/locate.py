@@ -99,16 +99,16 @@ def _from_files(request: Request, plan: str | None, max_sigma: float | None, out
 
     files.check_out(out, [request.log, request.anchors, request.truth, plan])
     asked = request.asked(report)
-    walls = None if plan is None else plans.walls(plan)
+    drawn = None if plan is None else plans.plan(plan, asked, request.frame)
     found = located.locate(asked, max_sigma, report)
-    for line in asked.cell.notes:
+    for line in (*asked.cell.notes, *(drawn.notes if drawn else ())):
         echo(line, file=sys.stderr)
-    files.write(found.frame, out, asked.cell.config)
+    files.write(found.frame, out, asked.cell.config, asked.scenario.origin)
     for line in found.errors:
         report(line)
     _print(found)
     say(f"fixes: {out}")
-    for kind, path in _figures(found, out, walls):
+    for kind, path in _figures(found, out, drawn.walls if drawn else None):
         say(f"{kind}: {path}")
     return 0
 
@@ -150,8 +150,9 @@ def _print(found: Located) -> None:
     sense = asked.scenario.azimuth_sense
     for line in summary.residual_lines(found.residuals, asked.scenario.anchor_names, sense):
         say(line)
+    by_mark = asked.scenario.weight == "mark"
     if found.with_truth:
-        for line in summary.accuracy_lines(summary.accuracy(frame)):
+        for line in summary.accuracy_lines(summary.accuracy(frame, by_mark), by_mark):
             say(line)
 
 

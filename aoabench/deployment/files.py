@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aoabench.devices.geodesy import Origin
 from aoabench.errors import BadValue
-from aoabench.maths.geometry import Array
 from aoabench.store.files import provenance, write_atomically, write_frame
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 KINDS = (".csv", ".parquet", ".geojson")
 DECIMALS = 6  # of numbers in texts: micrometres and microseconds
 _ROUNDED = ("_s", "_m", "_deg", "_m2", "score")
-ToDegrees = Callable[[Array], Array]  # positions (N, 2) m to longitudes and latitudes (N, 2) deg
+_DEGREES = 9  # decimals of longitudes and latitudes: a tenth of a millimetre
 
 
 def check_out(out: Path, read: Sequence[str | None]) -> None:
@@ -60,13 +60,11 @@ def opened(out: Path | None) -> Iterator[Callable[[pd.DataFrame], None]]:
         yield write
 
 
-def write(
-    frame: pd.DataFrame, out: Path, config: Any = None, degrees: ToDegrees | None = None
-) -> None:
+def write(frame: pd.DataFrame, out: Path, config: Any = None, origin: Origin | None = None) -> None:
     """Write the table of fixes to `out`, whose suffix is one of the KINDS.
 
-    config: the settings, for the origin of a Parquet file. degrees: turns positions into degrees
-    for GeoJSON; None: metres are written, as local coordinates.
+    config: the settings, for the provenance of a Parquet file. origin: that of the positions, which
+    become longitudes and latitudes in GeoJSON; None: they stay local coordinates in m.
     """
     kind = out.suffix.lower()
     if kind == ".parquet":
@@ -74,7 +72,7 @@ def write(
     elif kind == ".csv":
         write_atomically(out, lambda path: path.write_bytes(csv_text(frame)))
     else:
-        write_atomically(out, lambda path: _write_lines(path, geojson(frame, degrees)))
+        write_atomically(out, lambda path: _write_lines(path, geojson(frame, origin)))
 
 
 def csv_text(frame: pd.DataFrame, header: bool = True) -> bytes:
@@ -104,23 +102,23 @@ def rounded(frame: pd.DataFrame) -> dict[str, np.ndarray]:
     return {n: np.round(c, DECIMALS) + 0.0 if n in numbers else c for n, c in columns.items()}
 
 
-def geojson(frame: pd.DataFrame, degrees: ToDegrees | None) -> Iterator[str]:
+def geojson(frame: pd.DataFrame, origin: Origin | None) -> Iterator[str]:
     """The lines of a GeoJSON file with a Point for each fix, without a geometry where it has no
     position; of local coordinates, `units` is m.
     """
-    places = frame[["x_m", "y_m"]].to_numpy(dtype=float)
-    given = np.isfinite(places).all(axis=1)
-    if degrees is not None:
-        places[given] = degrees(places[given])
-    places = np.round(places, DECIMALS + 3 * (degrees is not None))
+    points = frame[["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
+    flat, given = np.isnan(points[:, 2]), np.isfinite(points[:, :2]).all(axis=1)
+    if origin is not None:
+        lifted = np.where(np.isnan(points), 0.0, points)
+        points = np.where(given[:, None], origin.geodetic(lifted)[:, [1, 0, 2]], np.nan)
+    points = np.round(points, DECIMALS if origin is None else _DEGREES)
     yield '{"type": "FeatureCollection", '
-    yield '"units": "m", ' if degrees is None else ""
+    yield '"units": "m", ' if origin is None else ""
     yield '"features": ['
-    heights = np.round(frame["z_m"].to_numpy(dtype=float), DECIMALS)
     rows = frame.assign(**rounded(frame)).to_dict("records")
-    for i, (row, place, z) in enumerate(zip(rows, places, heights)):
-        point = [*place.tolist(), *([float(z)] if math.isfinite(z) else [])]
-        geometry = {"type": "Point", "coordinates": point} if given[i] else None
+    for i, (row, point) in enumerate(zip(rows, points.tolist())):
+        coordinates = point[: 2 if flat[i] else 3]
+        geometry = {"type": "Point", "coordinates": coordinates} if given[i] else None
         feature = {"type": "Feature", "properties": _plain(row), "geometry": geometry}
         yield f"{',' if i else ''}\n{json.dumps(feature, allow_nan=False)}"
     yield "\n]}\n"

@@ -27,17 +27,18 @@ COLUMNS = (
     "outcome", "reason", "anchors_used", "anchors_heard", "packets", "score",
     "residual_azimuth_deg", "residual_elevation_deg", *COVARIANCES,
 )  # fmt: skip
-OF_TRUTH = ("true_x_m", "true_y_m", "true_z_m", "error_xy_m", "error_3d_m", "error_z_m")
+OF_TRUTH = ("mark", "true_x_m", "true_y_m", "true_z_m", "error_xy_m", "error_3d_m", "error_z_m")
 
 
 def table(
     tracks: Tracks,
     solved: Solved,
     max_sigma_m: float | None = None,
-    with_truth: bool = False,
+    marks: np.ndarray | None = None,
     numbers: np.ndarray | None = None,
 ) -> pd.DataFrame:
-    """A row for each fix, with the COLUMNS and, `with_truth`, those of the truth.
+    """A row for each fix, with the COLUMNS and, with `marks` (F,), the numbers of the true
+    positions, those of the truth.
 
     Rows are in order of time over all tracks; in order of the tracks where a time is unknown. A fix
     whose longer half-axis exceeds `max_sigma_m` is rejected and has no position. numbers (R,): the
@@ -63,7 +64,8 @@ def table(
     if max_sigma_m is not None:
         _reject(found, major > max_sigma_m)
     columns = list(COLUMNS)
-    if with_truth:
+    if marks is not None:
+        found["mark"] = marks
         found |= {f"true_{axis}_m": tracks.truth[:, i] for i, axis in enumerate("xyz")}
         columns += OF_TRUTH
     frame = pd.DataFrame({name: found[name] for name in columns})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from aoabench.errors import UserError
 from aoabench.roles import Estimator
@@ -14,12 +14,14 @@ if TYPE_CHECKING:
     from aoabench.cell import Cell
 
 DEFAULT = "robust_ml"
+MOTION = "scenario.motion={_target_: aoabench.models.motion.ConstantVelocity}"
+WALLS = "scenario.walls_"  # keys that declare the coordinates of the plan
 _GROUPS = ("estimator", "filter", "experiment", "noise")
 
 
 @dataclass(frozen=True)
 class Request:
-    """The files and the method of one call of `locate`.
+    """The files and the method of one call of `locate`; filters assume a walking person's motion.
 
     log: a file, or a pattern of files; anchors: the file of the anchors, None if a setting gives
     it; format: the log's format, None for the scenario's own choice; estimator or filter: the name
@@ -62,10 +64,19 @@ class Request:
         files = {"path": self.log, "anchors": self.anchors, "truth": self.truth}
         given = [file_setting(f"scenario.{key}", f) for key, f in files.items() if f is not None]
         form = [] if self.format is None else [f"scenario.format={self.format}"]
-        method = f"estimator=[{self.estimator or DEFAULT}]"
+        method = [f"estimator=[{self.estimator or DEFAULT}]"]
         if self.filter is not None:
-            method = f"filter=[{self.filter}]"
-        return ["scenario=recorded", *given, *form, method, *self.settings]
+            method = [f"filter=[{self.filter}]", MOTION]
+        others = [word for word in self.settings if not word.startswith(WALLS)]
+        return ["scenario=recorded", *given, *form, *method, *others]
+
+    @property
+    def frame(self) -> dict[str, Any]:
+        """The settings of the plan's coordinates, such as walls_crs, by their keys."""
+        from aoabench.config.overrides import read
+
+        found = read([word for word in self.settings if word.startswith(WALLS)])
+        return {setting.key.partition(".")[2]: setting.value for setting in found}
 
     def asked(self, say: Callable[[str], None] | None = None) -> Asked:
         """The recording and the method; raises UserError for every mistake in the input."""

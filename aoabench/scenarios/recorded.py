@@ -142,6 +142,15 @@ class Recorded(LogParameters):
         """The anchors' names (B,)."""
         return self._anchors.ids
 
+    @property
+    def origin(self) -> Origin | None:
+        """The origin of the local coordinates; None where it is unknown."""
+        return self._anchors.origin
+
+    def check_local(self, why: str) -> None:
+        """AnchorsFile.check_local of the anchors."""
+        self._anchors.check_local(why)
+
     def with_tracks(self, tracks: Tracks, start_s: float | None = None) -> Recorded:
         """The scenario with other tracks, whose filters start at the time `start_s`."""
         found = copy(self)
