@@ -150,7 +150,7 @@ class LogParameters(Scenario, ABC):
     )
     height_m: float | None = param(
         None,
-        "known height of the target, for methods in the plane; null: the true z if constant",
+        "known height of the target, for methods in the plane; null: unknown",
         unit="m",
     )
     bounds_m: Sequence[Sequence[float]] | None = param(

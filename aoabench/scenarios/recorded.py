@@ -83,9 +83,6 @@ class Recorded(LogParameters):
         object.__setattr__(self, "replications", len(found.counts))
         object.__setattr__(self, "shares_positions", len(found.counts) == 1)
         truth = found.truth
-        z = truth[np.isfinite(truth[:, 2]), 2]
-        if self.height_m is None and len(z) and np.ptp(z) < 1e-3:
-            object.__setattr__(self, "height_m", float(np.median(z)))
         known = truth[np.isfinite(truth[:, 0])]
         if len(known):
             source = ("path", self.path) if self.truth_file is None else ("truth", self.truth_file)
@@ -126,7 +123,7 @@ class Recorded(LogParameters):
 
     @property
     def known_height_m(self) -> float | None:
-        """`height_m`, or the height in m if all true positions have the same one, else None."""
+        """`height_m`; the truth is never a source, so that it moves no position."""
         return self.height_m
 
     @cached_property
