@@ -14,14 +14,13 @@ if TYPE_CHECKING:
     from aoabench.cell import Cell
 
 DEFAULT = "robust_ml"
-MOTION = "scenario.motion={_target_: aoabench.models.motion.ConstantVelocity}"
 WALLS = "scenario.walls_"  # keys that declare the coordinates of the plan
 _GROUPS = ("estimator", "filter", "experiment", "noise")
 
 
 @dataclass(frozen=True)
 class Request:
-    """The files and the method of one call of `locate`; filters assume a walking person's motion.
+    """The files and the method of one call of `locate`.
 
     log: a file, or a pattern of files; anchors: the file of the anchors, None if a setting gives
     it; format: the log's format, None for the scenario's own choice; estimator or filter: the name
@@ -64,11 +63,11 @@ class Request:
         files = {"path": self.log, "anchors": self.anchors, "truth": self.truth}
         given = [file_setting(f"scenario.{key}", f) for key, f in files.items() if f is not None]
         form = [] if self.format is None else [f"scenario.format={self.format}"]
-        method = [f"estimator=[{self.estimator or DEFAULT}]"]
+        method = f"estimator=[{self.estimator or DEFAULT}]"
         if self.filter is not None:
-            method = [f"filter=[{self.filter}]", MOTION]
+            method = f"filter=[{self.filter}]"
         others = [word for word in self.settings if not word.startswith(WALLS)]
-        return ["scenario=recorded", *given, *form, *method, *others]
+        return ["scenario=recorded", *given, *form, method, *others]
 
     @property
     def frame(self) -> dict[str, Any]:
