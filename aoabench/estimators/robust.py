@@ -120,7 +120,7 @@ class RobustLikelihood(Compiled, Estimator):
         """
         super().check(scenario, noise)
         given = noise.offers()
-        offered = {"elevation", "delay"} if given is None else given | scenario.offers()
+        offered = scenario.offers() | ({"elevation"} if given is None else given)
         ray = "elevation" in offered and self.elevation_sigma_deg is not None
         ranged = "delay" in offered and self.range_sigma_m is not None
         alone = ray + ranged + bool(np.isfinite(self._height(scenario))) >= 2
