@@ -41,7 +41,8 @@ class Param:
     lies in (above, most] and [least, most]. choices: the strings that are allowed, alone or in a
     list. shape: the shape of an array of numbers, None for any length >= 1. kind: the class of an
     object. also: further values that are allowed without these checks. allowed: the text of error
-    messages, in place of the one made from these fields.
+    messages, in place of the one made from these fields. key: the name in a config, if it is not
+    the field's own.
     """
 
     help: str
@@ -54,6 +55,7 @@ class Param:
     kind: type | None = None
     also: tuple[object, ...] = ()
     allowed: str = ""
+    key: str = ""
 
     def check(self, key: str, value: object, annotation: str) -> None:
         """Raise BadValue unless `value` fits; `annotation` is the field's, such as int | None."""
@@ -62,7 +64,8 @@ class Param:
             return
         if any(isinstance(value, type(one)) and value == one for one in self.also):
             return
-        if isinstance(value, str) and self.shape and "str" in annotation.split(" | "):
+        listed = annotation.startswith(("Sequence[", "tuple["))
+        if isinstance(value, str) and listed and "str" in annotation.split(" | "):
             return check_text(key, value)
         try:
             self.check_of(annotation)(key, value)
@@ -126,13 +129,21 @@ def param(  # noqa: PLR0913 - one argument per limit
     kind: type | None = None,
     also: tuple[object, ...] = (),
     allowed: str = "",
+    key: str = "",
 ) -> Any:
     """Return a dataclass field with its meaning and limits (see Param); required without `default`.
 
     A class with such fields derives from CheckedParams, as the roles do.
     """
-    known = Param(help, unit, above, least, most, tuple(choices), shape, kind, also, allowed)
+    some = tuple(choices)
+    known = Param(help, unit, above, least, most, some, shape, kind, also, allowed, key)
     return field(default=default, metadata={"param": known})
+
+
+def key_of(f: Field[Any]) -> str:
+    """The name of a dataclass's field in a config."""
+    known = f.metadata.get("param")
+    return (known.key if known else "") or f.name
 
 
 class CheckedParams:
@@ -166,7 +177,7 @@ class CheckedParams:
     def __post_init__(self) -> None:
         for f in fields(cast(Any, self)):
             if "param" in f.metadata:
-                f.metadata["param"].check(f.name, getattr(self, f.name), _annotation(f.type))
+                f.metadata["param"].check(key_of(f), getattr(self, f.name), _annotation(f.type))
 
 
 def _annotation(kind: object) -> str:

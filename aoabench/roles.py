@@ -53,15 +53,17 @@ class Scenario(CheckedParams):
 
     name: key of the random streams. dt: time step in s. start_s: time of the prior in s; None: that
     of a track's first step. motion: the motion model of the filters, None where each fix is
-    independent. shares_positions: whether all replications have the same
-    true positions. replications: number of replications, None for any number. least_heard: share
-    of the steps with a measurement below which a run prints a warning.
+    independent. start_sigma_m: deviation in m that the prior of a recorded track has beyond that of
+    its first fix. shares_positions: whether all replications have the same true positions.
+    replications: number of replications, None for any number. least_heard: share of the steps with
+    a measurement below which a run prints a warning.
     """
 
     name: str
     dt: float = 1.0
     start_s: float | None = 0.0
     motion: Motion | None = None
+    start_sigma_m: float = 1.0
     shares_positions: bool = False
     replications: int | None = None
     least_heard: float = 0.1
@@ -72,18 +74,11 @@ class Scenario(CheckedParams):
         raise NotImplementedError
 
     @property
-    def recorded(self) -> Measurements | None:
-        """Recorded measurements (T, B) that replace those of the noise, or None."""
-        return None
-
-    @property
     def tracks(self) -> Tracks | None:
-        """Recorded tracks, of which each is a replication, or None; one track if `recorded` has
-        measurements.
+        """Recorded tracks, whose measurements replace those of the noise and of which each is a
+        replication, or None.
         """
-        if self.recorded is None:
-            return None
-        return Tracks.single(self.truth(np.random.default_rng(0))[:, :3], self.recorded)
+        return None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -230,11 +225,13 @@ class Estimator(CheckedParams):
     other replications than it stores. An estimator that needs `truth` is called with the
     true states (R, T, n) as a fourth argument; such an estimator cannot run on a device.
     heard_only: whether it takes batches of the anchors heard alone (see `Batch`): K is then B.
+    causal: whether the estimate of a step uses no later measurements, as live positioning requires.
     """
 
     tile: int | None = None
     by_replication: bool = False
     heard_only: bool = False
+    causal: bool = True
 
     @property
     def needs(self) -> frozenset[str]:

@@ -102,10 +102,11 @@ def run(
       aoabench run -m experiment=nurminen2018_frames reps=500
 
     With --json: `out`, the folder; `seconds`, `computed`, `reused`; `cells`, each with its
-    `config`; `summary`, the rows of summary.parquet; `heavy_tails`, the
-    estimators whose RMSE a few large errors decide; `not_ok`, the estimators with fixes that are
-    not ok, each with shares and the commonest reason; `errors`, `precision`, `damaged`; `notes`,
-    remarks about the input; `figures` of a recording; `worst`, with --worst.
+    `config`; `summary`, the rows of summary.parquet; `tags`, of recordings, the fixes of each tag
+    and estimator; `heavy_tails`, the estimators whose RMSE a few large errors decide; `not_ok`, the
+    estimators with fixes that are not ok, each with shares and the commonest reason; `errors`,
+    `precision`, `damaged`; `notes`, remarks about the input; `figures` of a recording; `worst`,
+    with --worst.
     """
     if wants_help:
         click.echo(ctx.get_help())
@@ -169,15 +170,15 @@ def _simulate(cells: list[Cell], fresh: bool, n_worst: int, as_json: bool) -> No
 
 
 def _figures(out: Path, cells: Iterable[Cell]) -> Iterator[Path]:
-    """Draw the errors of recordings with ground truth; yield the paths of the figures."""
+    """Draw the errors or positions of recordings; yield the paths of the figures."""
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
     for cell in cells:
-        scenario = cell.scenario
-        if scenario.recorded is not None:
+        scenario, tracks = cell.scenario, cell.scenario.tracks
+        if tracks is not None:
+            from aoabench.report import recording
+
+            anchors = scenario.true_anchors.position[0].reshape(-1, 3)[:, :2]
             import numpy as np
 
-            from aoabench.report import campaign
-
-            truth = scenario.truth(np.random.default_rng(0))[:, :2]
-            places = truth, scenario.true_anchors.frames[0][0, :, :2], scenario.bounds_m
-            yield from campaign.write(out, cell.id, list(cell.estimators), *places)
+            around = np.unique(anchors, axis=0), scenario.bounds_m
+            yield from recording.write(out, cell.id, list(cell.estimators), tracks, *around)

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from aoabench.cell import Cell
 from aoabench.cli.outcomes import not_ok, not_ok_text
+from aoabench.cli.tags import tags, tags_text, told
 from aoabench.columns import SUMMARY
 from aoabench.report.tails import heavy_tails, heavy_tails_text
 from aoabench.report.text import interval_text
@@ -74,12 +77,15 @@ def run_text(found: Finished) -> Iterator[str]:
         f"{count} cell{'s' if count != 1 else ''}: {report.computed} replications x estimators "
         f"computed, {report.reused} reused, {report.seconds:.1f} s{rate}"
     )
-    yield _table(found)
-    clustered = (found.summary["se_by"] == "position").any()
-    yield (
-        "pooled: over all fixes; mean, median: of the replications' RMSE, mean as in compare; "
-        f"[95 % interval{', clustered by position but of the median' if clustered else ''}]"
-    )
+    scored = _scored(found)
+    if len(scored):
+        yield _table(found, scored)
+        clustered = (scored["se_by"] == "position").any()
+        yield (
+            "pooled: over all fixes; mean, median: of the replications' RMSE, mean as in compare; "
+            f"[95 % interval{', clustered by position but of the median' if clustered else ''}]"
+        )
+    yield from tags_text(told(tags(out, found.cells)))
     yield from heavy_tails_text(heavy_tails(found.summary))
     yield from not_ok_text(not_ok(found.summary))
     if found.errors:
@@ -96,9 +102,19 @@ def run_text(found: Finished) -> Iterator[str]:
     )
 
 
-def _table(found: Finished) -> str:
+def _scored(found: Finished) -> pd.DataFrame:
+    """The rows of the summary, without those of recordings that have no ground truth."""
+    unknown = [c for c, cell in found.cells.items() if not _has_truth(cell)]
+    return found.summary[~found.summary["cell"].isin(unknown)]
+
+
+def _has_truth(cell: Cell) -> bool:
+    tracks = cell.scenario.tracks
+    return tracks is None or bool(np.isfinite(tracks.truth[:, :2]).all(axis=1).any())
+
+
+def _table(found: Finished, mine: pd.DataFrame) -> str:
     """A line for each cell and estimator, with the parameters that differ between cells."""
-    mine = found.summary
     swept = [c for c in found.parameters if mine[c].nunique(dropna=False) > 1]
     shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
     for name, title in _RMSE.items():
@@ -152,6 +168,7 @@ def run_json(found: Finished) -> dict[str, Any]:
             for cell in found.cells.values()
         ],
         "summary": found.summary.to_dict("records"),
+        "tags": tags(report.out, found.cells),
         "heavy_tails": heavy_tails(found.summary),
         "not_ok": not_ok(found.summary),
         "errors": {"replications": len(found.errors), "first": next(iter(found.errors), None)},

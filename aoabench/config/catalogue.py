@@ -13,6 +13,7 @@ from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError, did_you_mean
+from aoabench.params import key_of
 from aoabench.roles import Estimator, Noise, Scenario
 
 
@@ -49,7 +50,7 @@ def parameters(name: str, config_dir: str | None = None) -> list[Parameter]:
 
 def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
     cls = resolve(node["_target_"], path) if "_target_" in node else None
-    known = {f.name: f for f in dataclasses.fields(cls)} if cls else {}
+    known = {key_of(f): f for f in dataclasses.fields(cls)} if cls else {}
     for key, value in node.items():
         if isinstance(value, dict):
             yield from _walk(value, f"{path}.{key}")

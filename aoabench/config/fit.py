@@ -12,7 +12,8 @@ from aoabench.roles import NEEDS, Estimator, Noise, Scenario
 _MOST = 12  # number of names in a message
 _ADVICE = {  # parameters of a recording that may mend what it lacks
     "height": "; scenario.height_m states it",
-    "motion": "; scenario.motion states how the target moves",
+    "motion": "; scenario.motion states how the target moves, and scenario.columns.time, or else "
+    "scenario.dt from fix to fix, when",
     "several_anchors": "; scenario.window_s puts rows of nearly equal times into one fix",
 }
 
@@ -59,6 +60,8 @@ def _error(
         return BadValue(f"{path}.{error.key}", error.value, error.allowed)
     group = error.group if scenario.tracks is None else "scenario"
     rest = _instead(error, estimator, scenario, noise)
+    if scenario.tracks is None and error.allowed == NEEDS["motion"][1]:
+        rest = f", because its fixes are separate points and no track in time{rest}"
     return BadValue(group, choices[group], f"{error.allowed}, which {path} needs{rest}")
 
 

@@ -16,6 +16,7 @@ from typing import Any
 from aoabench.config.overrides import Setting
 from aoabench.errors import BadValue, UserError, did_you_mean
 from aoabench.maths.digest import default_of, no_default
+from aoabench.params import key_of
 
 PLUG_INS = tuple(
     f"aoabench.{room}" for room in ("scenarios", "noise", "models", "filters", "estimators")
@@ -70,7 +71,7 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
             f"allowed: _target_ beside its keys ({', '.join(map(str, node)) or 'none'})"
         )
     cls = resolve(node["_target_"], path, plugins)
-    known = [f.name for f in dataclasses.fields(cls) if f.init]
+    known = {key_of(f): f.name for f in dataclasses.fields(cls) if f.init}
     arguments = {}
     for key, value in node.items():
         if key == "_target_":
@@ -78,9 +79,9 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
         if key not in known:
             hint = did_you_mean(str(key), known, path=f"{path}.")
             raise UserError(f"{path}.{key}: unknown key{hint or '; allowed: ' + ', '.join(known)}")
-        arguments[key] = construct(value, f"{path}.{key}", plugins)
+        arguments[known[key]] = construct(value, f"{path}.{key}", plugins)
     missing = [
-        f.name
+        key_of(f)
         for f in dataclasses.fields(cls)
         if f.init
         and f.name not in arguments
@@ -150,13 +151,14 @@ def spelled_out(node: Any, plugins: Sequence[str] = ()) -> Any:
     whole = {"_target_": given.pop("_target_")}
     for f in dataclasses.fields(cls):
         default = None if no_default(f) else _as_node(default_of(f))
-        if f.init and f.name in given:
-            value = given.pop(f.name)
+        key = key_of(f)
+        if f.init and key in given:
+            value = given.pop(key)
             if isinstance(default, dict) and isinstance(value, dict) and "_target_" not in value:
                 value = spelled_out({"_target_": default["_target_"], **value}, plugins)
-            whole[f.name] = value
+            whole[key] = value
         elif f.init and not no_default(f):
-            whole[f.name] = default
+            whole[key] = default
     return whole | given
 
 
@@ -180,6 +182,6 @@ def _as_node(value: Any) -> Any:
     """A default as a plain YAML node."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         name = f"{type(value).__module__}.{type(value).__qualname__}"
-        inner = {f.name: _as_node(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        inner = {key_of(f): _as_node(getattr(value, f.name)) for f in dataclasses.fields(value)}
         return {"_target_": name, **inner}
     return [_as_node(item) for item in value] if isinstance(value, list | tuple) else value

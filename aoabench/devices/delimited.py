@@ -69,7 +69,7 @@ class Delimited(Content):
             decimal=known.decimal,
             header=None,
             skiprows=known.skipped,
-            names=range(len(known.names) + 1),
+            names=range(len(known.names) + (len(known.names) in used)),
             usecols=np.array(used) if len(known.names) > _MANY else None,
             index_col=False,
             dtype={place: str for place in texts if place in used},

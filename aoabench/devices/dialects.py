@@ -23,7 +23,7 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?\s*|\s*nan\
 @dataclass(frozen=True)
 class Dialect:
     """A delimited text: its marks, the names of its columns, the number of lines before its first
-    row of data, and whether it has comment lines.
+    row of data, and whether lines that begin with #, % or // are comments.
     """
 
     separator: str
@@ -51,9 +51,13 @@ def dialect_of(text: bytes, key: str, path: str, given: Reading) -> Dialect:
         raise ValueError("line 1 is empty: the first line names the columns")
     start = _past_comments(lines, start)
     rows = [line for line in lines[start:] if not is_void(line)][:_SAMPLE]
-    mark = mark or _separator(rows)
+    likely = _separator(rows)
+    mark = mark or likely
     names = cells_of(lines[start], mark)
-    comments = _COMMENT_BYTES.search(text) is not None and not _hash_is_data(rows, names, mark)
+    if given.separator and len(names) < 2 <= len(cells_of(lines[start], likely)):
+        allowed = f"the mark between the cells of {path}; separated by {likely!r}?"
+        raise BadValue("separator", mark, allowed)
+    comments = not _hash_is_data(rows, names, mark)
     rows = [line for line in rows if not (comments and _COMMENT.match(line))]
     found = Dialect(mark, given.decimal or _decimal(rows, mark, text), (), start, comments)
     if given.header is not None:
@@ -83,12 +87,14 @@ def cells_of(line: str, separator: str) -> list[str]:
     """The cells of one line, without white space around them."""
     if separator == " ":
         return line.split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
 
 
 def without_comments(text: bytes) -> bytes:
     """The text with its comment lines left empty, so that lines keep their numbers."""
-    return _COMMENT_BYTES.sub(b"", text)
+    return _COMMENT_BYTES.sub(b"", text) if _COMMENT_BYTES.search(text) else text
 
 
 def is_number(cell: str) -> bool:

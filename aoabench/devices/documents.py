@@ -7,20 +7,16 @@ from io import BytesIO
 from typing import Any
 
 from aoabench.devices.reading import Part, Rows
-from aoabench.devices.silabs import is_config, locators
 
 _EXTRA = "reading .xlsx needs the extra: pip install 'aoabench[xlsx]'; or save it as CSV"
 
 
 def from_json(text: bytes, path: str) -> Rows:
-    """JSON lines, an array of objects, or a positioning_config.json; names of nested values are
-    joined by dots.
+    """JSON lines, or an array of objects; names of nested values are joined by dots.
 
     Raises ValueError for other JSON, with the line where it is torn.
     """
     document = _document(text)
-    if is_config(document):
-        return locators(document, path)
     if isinstance(document, list):
         return _records(document, list(range(len(document))), Part(0, "row", 1))
     if isinstance(document, dict) and b"\n" in text.strip():
@@ -30,16 +26,18 @@ def from_json(text: bytes, path: str) -> Rows:
         if line.strip():
             try:
                 found.append(json.loads(line))
-            except ValueError:
+            except (ValueError, RecursionError):
                 raise ValueError(f"line {i + 1} is no JSON object") from None
             places.append(i)
     return _records(found, places, Part(0, "line", 1))
 
 
 def _document(text: bytes) -> Any:
-    """The one JSON document that a text is, or None."""
+    """The one JSON document that a text is, or None; raises ValueError for one nested too deep."""
     try:
         return json.loads(text)
+    except RecursionError:
+        raise ValueError("its JSON is nested too deep") from None
     except ValueError:
         return None
 
@@ -73,7 +71,7 @@ def from_excel(content: bytes, path: str, header: tuple[str, ...] | None) -> Row
     except ImportError:
         raise ValueError(_EXTRA) from None
     sheet, others = str(book.sheet_names[0]), len(book.sheet_names) - 1
-    frame = book.parse(sheet, header=None if header else 0)
+    frame = pd.read_excel(book, sheet_name=0, header=None if header else 0)
     if header and len(header) != len(frame.columns):
         raise ValueError(f"sheet {sheet!r} has {len(frame.columns)} columns, header {len(header)}")
     frame.columns = list(header or (str(name).strip() for name in frame.columns))

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 HEAD = 1 << 16  # bytes that show a format
 _LOOKS = {"ublox": "u-blox lines (+UUDF)", "silabs": "Silicon Labs angles", "table": "a table"}
+DEVICES = {"ublox": ublox, "silabs": silabs}
 _TOPICS = (
     "these look like Silicon Labs angles without their topics, which name locator and tag: "
     "`mosquitto_sub -v` records both"
@@ -47,7 +48,7 @@ def _opened(key: str, path: Any, files: Sequence[str], given: Reading) -> Conten
     whole = found[0]
     if len(found) > 1:
         whole = several(key, path, found, files)
-    if given.separator is None and not whole.columns:
+    if not whole.columns:
         raise BadValue(key, path, f"a {KINDS}")
     return whole
 
@@ -71,17 +72,15 @@ def text_content(text: bytes, key: str, path: str, given: Reading) -> Content:
     """The content of a text in the declared or recognised format."""
     head = text[:HEAD].decode(errors="replace")
     looks = looks_like(head)
-    if given.format not in ("auto", "table", looks):
-        wanted = f"{_LOOKS[given.format]}, as scenario.format={given.format} declares"
+    declared = looks if given.format == "auto" else given.format
+    device = DEVICES.get(declared)
+    found = device(text.decode(errors="replace"), path) if device else None
+    if declared != looks and (found is None or found.frame.empty):
+        wanted = f"{_LOOKS[declared]}, as scenario.format={declared} declares"
         hint = f"these look like {_LOOKS[looks]}: scenario.format={looks}"
         raise BadValue(key, path, f"{wanted}; {hint}")
-    if given.format == "table" and looks != "table":
-        hint = f"these look like {_LOOKS[looks]}: scenario.format={looks}"
-        raise BadValue(key, path, f"a table, as scenario.format=table declares; {hint}")
-    if looks == "ublox":
-        return ublox(text.decode(errors="replace"), path)
-    if looks == "silabs":
-        return silabs(text.decode(errors="replace"), path)
+    if found is not None:
+        return found
     if is_angles_alone(head):
         raise BadValue(key, path, f"a {KINDS}; {_TOPICS}")
     if text.lstrip()[:1] in (b"{", b"["):

@@ -1,4 +1,4 @@
-"""Fixes, angles and true positions in aoabench's conventions, from the columns of a log.
+"""Angles, times, signal strengths and ranges in aoabench's conventions, from the columns of a log.
 
 A row holds the measurements by one anchor, or those by the mobile of one anchor. The conventions of
 a log are declared, never guessed. Angles are converted to azimuth counter-clockwise from the
@@ -10,31 +10,18 @@ anchor's +x and elevation up from its xy-plane:
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from aoabench.devices.columns import header, shown_columns
 from aoabench.devices.table import Table
-from aoabench.errors import BadValue, did_you_mean, listed
-from aoabench.maths.geometry import Array, wrap
-from aoabench.types import Measurements
+from aoabench.errors import listed
+from aoabench.maths.geometry import LIGHT, Array, wrap
 
 TURN = {"deg": 360.0, "rad": 2 * np.pi}
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-SAME_M = 1e-6  # m; true positions of one fix that differ by less are taken as equal
 MOST_DBM = 20.0  # a larger signal strength is doubted
 SIGMAS = ("error", "absent", "absolute")  # treatments of a negative deviation
-
-
-class Log(NamedTuple):
-    """A file's content: true positions (T, 3) m, measurements (T, B) and remarks to print."""
-
-    truth: Array
-    measured: Measurements
-    notes: tuple[str, ...]
 
 
 class Conventions(NamedTuple):
@@ -62,47 +49,6 @@ class Conventions(NamedTuple):
         return {"azimuth": self.azimuth_unit, "elevation": self.elevation_unit}
 
 
-def chosen_columns(
-    path: str, named: Mapping[str, str | None], defaults: Mapping[str, str], required: set[str]
-) -> dict[str, str]:
-    """Map aoabench's column names to the file's, for the columns to read.
-
-    A column has its name in `named`, or else its default name if the file has such a column. Raises
-    BadValue if a named or required column is missing, or occurs twice. A fix or a time is always
-    required; x and y are required if one of x, y, z is read.
-    """
-    columns = header("path", path)
-    chosen = {
-        ours: defaults[ours] if name is None and defaults[ours] in columns else name
-        for ours, name in named.items()
-    }
-    if chosen["fix"] is not None:
-        chosen["time"] = None  # numbered fixes need neither comparable nor complete times
-    required = required | ({"time"} if chosen["fix"] is None else set())
-    required |= {"x", "y"} if any(chosen[axis] for axis in "xyz") else set()
-    for ours, name in chosen.items():
-        if name is None and ours in required:
-            raise _no_column(ours, name, defaults[ours], path, columns)
-        if name is not None and columns.count(name) != 1:
-            raise _no_column(ours, name, name, path, columns)
-    return {ours: name for ours, name in chosen.items() if name is not None}
-
-
-def _no_column(
-    ours: str, name: str | None, wanted: str, path: str, columns: Sequence[str]
-) -> BadValue:
-    """The error for the column `ours`, whose name `wanted` is missing or twice in the file."""
-    default = f", by default called {wanted}," if name is None else ""
-    allowed = f"a column{default} of {path}, which has {shown_columns(columns)}"
-    if wanted in columns:
-        allowed += f"; {wanted} occurs {columns.count(wanted)} times"
-    else:
-        allowed += did_you_mean(wanted, columns)
-    if ours == "time":
-        allowed += "; or scenario.columns.fix, a column with the number of each row's fix"
-    return BadValue(f"columns.{ours}", name, allowed)
-
-
 def known_anchors(
     table: Table, ids: Sequence[str], strict: bool
 ) -> tuple[Table, np.ndarray, list[str]]:
@@ -119,26 +65,6 @@ def known_anchors(
         raise table.bad(f"at least one row of a known anchor: {listed(ids)}")
     notes = [f"{table.path}: {unknown} rows of unknown anchors left out"]
     return table.where(anchor >= 0), anchor[anchor >= 0], notes
-
-
-def fixes(table: Table, time_unit: str, window_s: float) -> tuple[np.ndarray, int]:
-    """Return the number (N,) of each row's fix, and the number of fixes.
-
-    Fixes are in order of their times, or of their first appearance if the table numbers them. A
-    row up to `window_s` after the first row of a fix belongs to that fix.
-    """
-    if "fix" in table.names:
-        code, ids = table.texts("fix")
-        return code, len(ids)
-    time = table.times("time") * (SECONDS[time_unit] if table.is_number("time") else 1.0)
-    moments, code = np.unique(time, return_inverse=True)
-    if window_s == 0:
-        return code, len(moments)
-    ordered, starts = moments.tolist(), np.zeros(len(moments), dtype=int)
-    begin = 0
-    while (begin := bisect_right(ordered, ordered[begin] + window_s, begin)) < len(ordered):
-        starts[begin] = 1
-    return np.cumsum(starts)[code], int(starts.sum()) + 1
 
 
 def angles(table: Table, given: Conventions) -> dict[str, Array]:
@@ -194,6 +120,32 @@ def strengths(table: Table, absent: Sequence[float]) -> tuple[Array | None, list
     return (found if np.isfinite(found).any() else None), notes
 
 
+def ranges(table: Table, sigma_m: float | None) -> tuple[dict[str, Array], list[str]]:
+    """Return ranges and their deviations as `delay` and `delay_sigma` (N,) s, NaN where a range has
+    no deviation above 0; nothing if no range has one; and remarks to print.
+
+    A row without a deviation above 0 has `sigma_m`.
+    """
+    if "range" not in table.names:
+        return {}, []
+    distance = table.numbers("range")
+    stated = "range_sigma" in table.names
+    sigma = table.numbers("range_sigma") if stated else np.full(len(distance), np.nan)
+    sigma = np.where(sigma > 0, sigma, np.nan if sigma_m is None else sigma_m)
+    measured = np.isfinite(distance)
+    used = measured & np.isfinite(sigma)
+    notes = []
+    if lost := int((measured & ~used).sum()):
+        notes.append(
+            f"{table.path}: {lost} of {measured.sum()} {table.names['range']} are not used: their "
+            "deviation is not stated, or 0; scenario.range_sigma_m states one"
+        )
+    if not used.any():
+        return {}, notes
+    found = {"delay": distance, "delay_sigma": sigma}
+    return {name: np.where(used, value, np.nan) / LIGHT for name, value in found.items()}, notes
+
+
 def _azimuth(table: Table, given: Conventions) -> Array:
     """Azimuths (N,) rad, counter-clockwise; in the mobile's own frame if the mobile measures."""
     turn = TURN[given.azimuth_unit]
@@ -235,13 +187,3 @@ def doubts(table: Table, azimuth_unit: str) -> list[str]:
     return [
         f"{table.path}: {name} is within +-2 pi deg; if it is in rad, set scenario.azimuth_unit=rad"
     ]
-
-
-def truth(table: Table, fix: np.ndarray, T: int) -> Array:
-    """True positions (T, 3) m, NaN if a fix has none; raises BadValue if rows of a fix differ."""
-    nothing = np.full(T, np.nan)
-    found = np.stack(
-        [table.shared(a, fix, T, SAME_M) if a in table.names else nothing for a in "xyz"], axis=-1
-    )
-    found[np.isnan(found[:, :2]).any(axis=1)] = np.nan
-    return found

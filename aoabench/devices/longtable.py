@@ -13,15 +13,23 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def as_tables(batch: Batch, truth: Array) -> tuple[pd.DataFrame, pd.DataFrame]:
+def as_tables(
+    batch: Batch, truth: Array, tag: str | None = None, names: np.ndarray | None = None
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the measurements of one replication (R = 1) as a long table, and its anchors.
 
-    The first table has a row per fix and anchor that measured, with the true position from `truth`
-    (T, n) m. The second table has the known anchors at the first step.
+    The first table has a row per fix and packet of an anchor that measured, with the true position
+    from `truth` (T, n) m, and the tag, the names (T,) of the fixes and the time of a recording. The
+    second table has the known anchors at the first step.
     """
     import pandas as pd
 
-    fix, anchor = (a.ravel() for a in np.indices(batch.azimuth.shape[1:]))
+    fix, place = (a.ravel() for a in np.indices(batch.azimuth.shape[1:]))
+    number = np.broadcast_to(batch.numbers[0], batch.azimuth.shape[1:])
+    identity = {} if tag is None else {"tag": np.full(len(fix), tag)}
+    identity["fix"] = fix if names is None else names[fix]
+    if names is not None and batch.time is not None:
+        identity["time_s"] = batch.time[0][fix]
     angles = {
         "azimuth_deg": batch.azimuth,
         "elevation_deg": batch.elevation,
@@ -33,9 +41,10 @@ def as_tables(batch: Batch, truth: Array) -> tuple[pd.DataFrame, pd.DataFrame]:
     given |= {f"{axis}_m": truth[fix, k] for k, axis in enumerate("xyz")}
     heard = np.isfinite(batch.azimuth[0]) | np.isfinite(batch.elevation[0])
     heard[:, 0] |= ~heard.any(axis=1)  # a fix without any measurement keeps one row
-    rows = pd.DataFrame({"fix": fix, "anchor": anchor + 1, **given})[heard.ravel()]
-    position, rotation = (a[0] for a in batch.anchors.at(0).frames)
+    rows = pd.DataFrame({**identity, "anchor": number.ravel() + 1, **given})[heard.ravel()]
+    ids, first = np.unique(number[0], return_index=True)
+    position, rotation = (a[0][first] for a in batch.anchors.at(0).frames)
     turned = np.rad2deg([euler_of(R.T) for R in rotation]) + 0.0  # no -0.0
     known = {f"{axis}_m": position[:, k] for k, axis in enumerate("xyz")}
     known |= {f"{name}_deg": turned[:, 2 - k] for k, name in enumerate(("facing", "pitch", "roll"))}
-    return rows, pd.DataFrame({"id": np.arange(1, len(position) + 1), **known})
+    return rows, pd.DataFrame({"id": ids + 1, **known})

@@ -42,8 +42,6 @@ class Reading:
             raise BadValue("separator", mark, "one character between cells, tab, space, or null")
         if self.decimal not in (None, ".", ","):
             raise BadValue("decimal", self.decimal, "'.', ',' or null")
-        if self.decimal is not None and self.decimal == mark:
-            raise BadValue("decimal", self.decimal, "another character than scenario.separator")
         self._check_header()
         for name in self.patterns:
             if name.count(ANCHOR) != 1:
@@ -110,7 +108,6 @@ class Rows(Content):
     frame: pd.DataFrame = None  # type: ignore[assignment]
 
     def cells(self, names: Mapping[str, str]) -> pd.DataFrame:
-        import pandas as pd
-
-        chosen = {ours: self.frame[theirs] for ours, theirs in names.items()}
-        return pd.DataFrame(chosen, index=self.frame.index)
+        found = self.frame.reindex(columns=list(names.values()))
+        found.columns = list(names)
+        return found

@@ -1,22 +1,21 @@
-"""Silicon Labs' locators: angles from MQTT, as `mosquitto_sub -v` prints them, and their places.
+"""Angles of Silicon Labs' locators from MQTT, as `mosquitto_sub -v` prints them.
 
     silabs/aoa/angle/<locator>/<tag> {"azimuth": deg, "azimuth_stdev": deg, "elevation": deg,
         "elevation_stdev": deg, "distance": m, "distance_stdev": m, "sequence": n}
 
 Angles are in the locator's frame, the azimuth counter-clockwise seen from its +z. A negative
 deviation means that there was no line of sight. Other topics are not read. A time of the host may
-stand in front of the topic. positioning_config.json has the locators' coordinates in m, and their
-orientations as Rz(z) Ry(y) Rx(x) in deg.
+stand in front of the topic.
 """
 
 from __future__ import annotations
 
-import json
 import re
-from typing import Any
+from collections import Counter
 
 import numpy as np
 
+from aoabench.devices.lines import line_ends, line_starts, matched, numbers, pieces, texts
 from aoabench.devices.reading import Part, Rows
 from aoabench.devices.stamps import seconds
 
@@ -37,8 +36,12 @@ COLUMNS = {
     "distance_stdev": "range_sigma_m",
     "sequence": "sequence",
 }
-_TOPIC = re.compile(r"^([^\n{}]*?)\bsilabs/aoa/(\w+)/([^\s/{]+)(?:/([^\s/{]+))?\s*", re.M)
-_PAYLOAD = re.compile(r"\{[^{}]*\}")
+_MESSAGE = (
+    r"(?s)^(?P<torn>.*\n)?(?P<before>[^\n{]*?)silabs/aoa/angle/"
+    r"(?P<anchor>[^\s/{]+)/(?P<tag>[^\s/{]+)\s*\{(?P<payload>[^{]*)$"
+)
+_NUMBER = r"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?"
+_TOPIC = re.compile(r"silabs/aoa/(\w+)/")
 
 
 def is_silabs(head: str) -> bool:
@@ -54,60 +57,27 @@ def silabs(text: str, path: str, first: int = 1) -> Rows:
     """The angles of a text whose first line has the number `first`, with notes on what is left."""
     import pandas as pd
 
-    kept, bad, others = [], 0, 0
-    for topic in _TOPIC.finditer(text):
-        if topic[2] != "angle" or topic[4] is None:
-            others += 1
-            continue
-        payload = _PAYLOAD.match(text, topic.end())
-        values = _values(payload[0]) if payload else None
-        if values is None:
-            bad += 1
-            continue
-        kept.append((topic, values))
-    frame = pd.DataFrame([values for _, values in kept], columns=list(COLUMNS.values()))
-    frame.insert(0, "anchor", [topic[3] for topic, _ in kept])
-    frame.insert(0, "tag", [topic[4] for topic, _ in kept])
-    times = seconds([topic[1] for topic, _ in kept])
+    parts = pieces(text, "}")
+    rows, groups = matched(parts, _MESSAGE)
+    frame = pd.DataFrame({name: texts(groups[name]) for name in ("tag", "anchor")})
+    for theirs, ours in COLUMNS.items():
+        frame[ours] = np.full(len(rows), np.nan)
+        some, value = matched(groups["payload"], rf'"{theirs}"\s*:\s*(?P<value>{_NUMBER})\s*[,\n]*')
+        frame.loc[some, ours] = numbers(value["value"])
+    times = seconds(groups["before"])
     if times is not None:
         frame["time_s"] = times
-    ends = np.flatnonzero(np.frombuffer(text.encode("utf-32-le"), dtype="<u4") == ord("\n"))
-    frame.index = pd.Index(np.searchsorted(ends, [topic.start(2) for topic, _ in kept]))
-    notes = [f"{path}: {bad} angles without a whole payload, and not read"] if bad else []
+    frame.index = pd.Index(line_starts(parts)[rows] + line_ends(groups["torn"]))
+    whole = frame[["azimuth_deg", "elevation_deg"]].notna().any(axis=1) & frame["sequence"].notna()
+    frame = frame[whole]
+    topics = Counter(_TOPIC.findall(text))
+    notes = _left(path, topics["angle"] - len(frame), topics.total() - topics["angle"])
+    return Rows(list(frame.columns), (Part(0, "line", first),), notes, STATED, frame)
+
+
+def _left(path: str, torn: int, others: int) -> tuple[str, ...]:
+    """Remarks on what is not read."""
+    found = [f"{path}: {torn} angles without a whole payload, and not read"] if torn else []
     if others:
-        notes.append(f"{path}: {others} messages of other topics than silabs/aoa/angle, not read")
-    return Rows(list(frame.columns), (Part(0, "line", first),), tuple(notes), STATED, frame)
-
-
-def _values(payload: str) -> tuple[float, ...] | None:
-    """The numbers of a payload in the order of COLUMNS, NaN where absent; None if it is torn."""
-    try:
-        found = json.loads(payload)
-        return tuple(float(found.get(name, "nan")) for name in COLUMNS)
-    except (ValueError, TypeError):
-        return None
-
-
-def is_config(found: Any) -> bool:
-    """Whether a JSON document is a positioning_config.json."""
-    return isinstance(found, dict) and isinstance(found.get("locators"), list)
-
-
-def locators(found: dict[str, Any], path: str) -> Rows:
-    """The locators of a positioning_config.json as anchors; raises ValueError if one lacks its id
-    or coordinates.
-    """
-    import pandas as pd
-
-    rows = []
-    for i, one in enumerate(found["locators"], start=1):
-        try:
-            place, turn = one["coordinate"], one.get("orientation") or {}
-            angles = [turn.get(axis, 0.0) for axis in "zyx"]
-            rows.append([str(one["id"]), *(place[axis] for axis in "xyz"), *angles])
-        except (KeyError, TypeError, AttributeError):
-            words = "id and coordinate: {x, y, z}"
-            raise ValueError(f"a locator has {words}; locator {i} has not") from None
-    names = ["id", "x_m", "y_m", "z_m", "facing_deg", "pitch_deg", "roll_deg"]
-    frame = pd.DataFrame(rows, columns=names)
-    return Rows(names, (Part(0, "locator", 1),), (), {}, frame)
+        found.append(f"{path}: {others} messages of other topics than silabs/aoa/angle, not read")
+    return tuple(found)

@@ -22,7 +22,7 @@ KINDS = (
 )
 EXISTING = f"existing file: a {KINDS}"
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-_TEXT_OF_BINARY = {b"PAR1", b"PK\x03\x04"}
+_BINARY = {b"PAR1", b"PK\x03\x04"}
 
 
 def expanded(key: str, path: Any) -> list[str]:
@@ -69,6 +69,8 @@ def text_of(path: object) -> bytes:
     Raises OSError or ValueError for bytes that are neither a text nor a known binary format.
     """
     content = content_of(path)
+    if os.path.getsize(str(path)) > len(content) and content[:4] not in _BINARY:
+        content = content[: content.rfind(b"\n") + 1]  # of a file that grows, the whole lines
     if content[:2] == b"\x1f\x8b":
         try:
             content = gzip.decompress(content)
@@ -77,7 +79,7 @@ def text_of(path: object) -> bytes:
     if content[:2] in _UTF_16:
         return content.decode("utf-16").encode()
     content = content.removeprefix(codecs.BOM_UTF8)
-    if content[:4] not in _TEXT_OF_BINARY and (place := content.find(b"\0")) >= 0:
+    if content[:4] not in _BINARY and (place := content.find(b"\0")) >= 0:
         raise ValueError(f"byte {place} is 0, as in binary files; this is no text")
     return content
 

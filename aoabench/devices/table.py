@@ -55,7 +55,15 @@ class Table:
 
     @staticmethod
     def of(content: Content, key: str, path: Any, names: Mapping[str, str]) -> Table:
-        """The columns `names` of an opened file."""
+        """The columns `names` of an opened file; raises BadValue for one without rows."""
+        table = Table.piece(content, key, path, names)
+        if not len(table.frame):
+            raise table.bad("a file with at least one row")
+        return table
+
+    @staticmethod
+    def piece(content: Content, key: str, path: Any, names: Mapping[str, str]) -> Table:
+        """The columns `names` of a piece of a log, which may have no rows."""
         try:
             frame = content.cells(names)
         except BadValue:
@@ -64,10 +72,7 @@ class Table:
             raise BadValue(key, path, f"a readable {KINDS}; {reason_of(error)}") from None
         shown = {ours: content.shown(theirs) for ours, theirs in names.items()}
         table = Table(key, path, shown, frame, content.parts, content.notes, content.stated)
-        table = table.where(table.frame.notna().any(axis=1).to_numpy())
-        if not len(table.frame):
-            raise table.bad("a file with at least one row")
-        return table
+        return table.where(table.frame.notna().any(axis=1).to_numpy())
 
     def where(self, keep: np.ndarray) -> Table:
         """The table of the rows where `keep` (N,) is True."""

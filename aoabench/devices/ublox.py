@@ -9,10 +9,7 @@ other answers of the modem are not read.
 
 from __future__ import annotations
 
-import re
-
-import numpy as np
-
+from aoabench.devices.lines import matched, numbers, pieces, texts
 from aoabench.devices.reading import Part, Rows
 from aoabench.devices.stamps import seconds
 
@@ -28,11 +25,13 @@ COLUMNS = (
     "tag", "rssi_dbm", "azimuth_deg", "elevation_deg", "rssi_2_dbm", "channel", "anchor", "text",
     "anchor_time_s", "sequence",
 )  # fmt: skip
-_ANGLE = r"(-?\d+(?:\.\d+)?|)"
-_LINE = re.compile(
-    rf'^([^\n]*?)\+UUDF:"?(\w+)"?,(-?\d+|),{_ANGLE},{_ANGLE},(-?\d+|),(\d+|),'
-    r'"([^"\n]*)","([^"\n]*)",(\d+)(?:,(\d+))?[^\S\n]*$',
-    re.M,
+TEXTS = ("tag", "anchor", "text")
+_ANGLE = r"-?\d+(?:\.\d+)?|"
+_FIELDS = (r"\w+", r"-?\d+|", _ANGLE, _ANGLE, r"-?\d+|", r"\d+|")
+_LINE = (
+    r"^(?P<before>.*?)\+UUDF:"
+    + ",".join(f"(?P<{name}>{form})" for name, form in zip(COLUMNS, _FIELDS))
+    + r',"(?P<anchor>[^"]*)","(?P<text>[^"]*)",(?P<anchor_time_s>\d+),?(?P<sequence>\d*)\s*$'
 )
 
 
@@ -46,22 +45,19 @@ def ublox(text: str, path: str, first: int = 1) -> Rows:
     """
     import pandas as pd
 
-    found = list(_LINE.finditer(text))
-    cells = list(zip(*(one.groups("") for one in found))) or [()] * (len(COLUMNS) + 1)
-    before, *values = cells
-    frame = pd.DataFrame(dict(zip(COLUMNS, map(list, values))), dtype=object)
-    for name in COLUMNS:
-        if name not in ("tag", "anchor", "text"):
-            frame[name] = pd.to_numeric(frame[name].replace("", "nan")).astype(float)
+    rows, groups = matched(pieces(text, "\n"), _LINE)
+    frame = pd.DataFrame(
+        {name: texts(groups[name]) if name in TEXTS else numbers(groups[name]) for name in COLUMNS},
+        index=pd.RangeIndex(len(rows)),
+    )
     frame["anchor_time_s"] /= 1e3
     if frame["sequence"].isna().all():
         frame = frame.drop(columns="sequence")
-    times = seconds(before)
+    times = seconds(groups["before"])
     if times is not None:
         frame["time_s"] = times
-    ends = np.flatnonzero(np.frombuffer(text.encode("utf-32-le"), dtype="<u4") == ord("\n"))
-    frame.index = pd.Index(np.searchsorted(ends, [one.start(2) for one in found]))
-    notes = _garbled(text, len(found), path)
+    frame.index = pd.Index(rows)
+    notes = _garbled(text, len(rows), path)
     return Rows(list(frame.columns), (Part(0, "line", first),), notes, STATED, frame)
 
 

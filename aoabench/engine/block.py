@@ -24,8 +24,8 @@ Rows = dict[str, np.ndarray]
 class Results:
     """An estimator's results for some replications: numbers (R,), true states (R, T, n), estimates
     and the facts about their input; those in `keep` become rows. `place` (T,): the places
-    (metrics.places) of true positions that all replications share. Of a recorded track: its `tag`,
-    and the names `fix` (T,) of its fixes.
+    (metrics.places) of true positions that all replications share, or of all fixes of a recording,
+    which says what `track` the results are of.
     """
 
     numbers: np.ndarray
@@ -34,8 +34,7 @@ class Results:
     inputs: Inputs
     keep: slice
     place: np.ndarray | None = None
-    tag: str | None = None
-    fix: np.ndarray | None = None
+    track: recording.Identity | None = None
 
     @cached_property
     def imprecise(self) -> np.ndarray:
@@ -80,14 +79,14 @@ def run_block(
     """Run replications start..stop-1 and return each estimator's tables: `rows`, one row per
     replication, and with `steps` also `steps`, one row per step.
 
-    Where all replications share their true positions, as in a recording of one track, `fixes` has
-    one row of arrays per replication, from which standard errors are clustered by position.
-    `failures` is present only if an estimator raised or gave NaN (see `try_tile`), `reasons` only
-    if a fix is not ok. Estimators of one tile size take turns tile by tile, so that each tile is
-    drawn once for all of them.
+    Where all replications share their true positions, and in a recording, `fixes` has one row of
+    arrays per replication, from which standard errors are clustered by position. `failures` is
+    present only if an estimator raised or gave NaN (see `try_tile`), `reasons` only if a fix is not
+    ok. Estimators of one tile size take turns tile by tile, so that each tile is drawn once for all
+    of them.
     """
     tracks = scenario.tracks
-    shared = scenario.shares_positions if tracks is None else len(tracks.counts) == 1
+    shared = scenario.shares_positions if tracks is None else recording.has_places(tracks)
     makers: dict[str, RowMaker] = {"rows": _rows, "reasons": _reasons}
     makers |= {"steps": _details} if steps else {}
     makers |= {"fixes": _fixes} if shared else {}
@@ -114,13 +113,15 @@ def _same_tiles(
     rows = {name: {kind: list[Rows]() for kind in makers} for name in estimators}
     errors = {name: dict[int, str]() for name in estimators}
     start = wanted.start - wanted.start % size
-    truth = draws.drawn(start, size).truth[0]
-    place = metrics.places(truth[:, :3]) if "fixes" in makers else None
-    span = size * max(_SPAN // (size * len(truth)), 1) if draws.tracks is None else 1
+    truth, tracks = draws.drawn(start, size).truth[0], draws.tracks
+    shared = truth[:, :3] if tracks is None else tracks.truth
+    place = metrics.places(shared) if "fixes" in makers else None
+    span = size * max(_SPAN // (size * len(truth)), 1) if tracks is None else 1
     for first in range(start, wanted.stop, span):
         tiles = range(first, min(first + span, wanted.stop), size)
         inputs, found = zip(*(_tried(draws, estimators, tile, size) for tile in tiles))
-        facts, identity = Inputs.joined(inputs), _identity(draws, first)
+        facts = Inputs.joined(inputs)
+        track = None if tracks is None else recording.Identity.of(tracks, first)
         numbers = np.arange(first, tiles[-1] + size)
         keep = slice(max(wanted.start - first, 0), min(wanted.stop - first, len(numbers)))
         for name in estimators:
@@ -128,7 +129,7 @@ def _same_tiles(
             estimates = _one_after_the_other([tile[name][1] for tile in found])
             for tile in found:
                 errors[name] |= tile[name][2]
-            mine = Results(numbers, truth, estimates, facts, keep, place, *identity)
+            mine = Results(numbers, truth, estimates, facts, keep, place, track)
             results = mine.near_those_kept()
             for kind, make in makers.items():
                 rows[name][kind].append(make(results))
@@ -138,14 +139,6 @@ def _same_tiles(
         blocks[name] = {k: v for k, v in joined.items() if k != "reasons" or len(v["n"])}
         blocks[name] |= _failures(blocks[name]["rows"], errors[name])
     return blocks
-
-
-def _identity(draws: Draws, first: int) -> tuple[str | None, np.ndarray | None]:
-    """Tag and fixes of the recorded track `first`; None where simulated, or without tags."""
-    tracks = draws.tracks
-    if tracks is None:
-        return None, None
-    return tracks.tags[first] or None, tracks.fix[recording.fixes_of(tracks, first)]
 
 
 Tried = tuple[np.ndarray, Estimates, dict[int, str]]
@@ -185,7 +178,9 @@ def _rows(of: Results) -> Rows:
     found = {"replication": of.numbers, **metrics.per_replication(of.estimates, of.truth[..., :3])}
     found["n_unmeasured"] = of.inputs.unmeasured.sum(axis=1)
     found["n_imprecise"] = of.imprecise.sum(axis=1)
-    found["tag"] = np.full(len(of.numbers), of.tag, dtype=object)
+    found["tag"] = np.full(len(of.numbers), of.track and of.track.tag, dtype=object)
+    if of.track is not None:
+        found["outcome"] = metrics.commonest_outcome(of.estimates)
     return {k: v[of.keep] for k, v in found.items()}
 
 
@@ -202,18 +197,26 @@ def _details(of: Results) -> Rows:
     found |= metrics.per_step(of.estimates, of.truth[..., :3])
     found |= {"time_s": of.inputs.time, "imprecise": of.imprecise}
     found["n_unmeasured"] = of.inputs.unmeasured.astype(int)
-    found["tag"] = np.full((R, T), of.tag, dtype=object)
-    found["fix"] = np.full((R, T), None) if of.fix is None else of.fix[None]
+    found["tag"] = np.full((R, T), of.track and of.track.tag, dtype=object)
+    found["fix"] = np.full((R, T), None) if of.track is None else of.track.fix[None]
     return {k: v[of.keep].ravel() for k, v in found.items()}
 
 
 def _fixes(of: Results) -> Rows:
     found = {"replication": of.numbers, **metrics.per_fix(of.estimates, of.truth[..., :3])}
-    assert of.place is not None
-    found["place"] = np.broadcast_to(of.place, of.estimates.outcome.shape)
     flags = {"n_unmeasured": of.inputs.unmeasured, "imprecise": of.imprecise}
     found |= {name: flag.astype(np.int8) for name, flag in flags.items()}
+    if of.track is not None:
+        fixes = {name: v for name, v in found.items() if name != "replication"}
+        found |= {name: of.track.spread(v, _absent(name, v)) for name, v in fixes.items()}
+    assert of.place is not None
+    found["place"] = np.broadcast_to(of.place, found["outcome"].shape)
     return {k: v[of.keep] for k, v in found.items()}
+
+
+def _absent(name: str, values: np.ndarray) -> float:
+    """The value of a column of the fixes table for a fix of another track."""
+    return np.nan if values.dtype.kind == "f" else -1 if name == "outcome" else 0
 
 
 def _failures(rows: Rows, errors: Mapping[int, str]) -> dict[str, Rows]:

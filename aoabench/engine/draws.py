@@ -9,6 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from aoabench.engine import recording
+from aoabench.engine.start import prior_of
 from aoabench.maths.geometry import Array
 from aoabench.maths.places import at_anchors, at_places
 from aoabench.roles import Noise, Scenario
@@ -185,19 +186,31 @@ class Draws:
         number = (recording.random_number(tracks, track),)
         (rng,), (other,) = self._rngs(number, ANCHORS), self._rngs(number, ESTIMATOR, PRIOR)
         known = recording.anchors_of(self.noise.known_anchors(rng, self.scenario), tracks, track)
-        anchor, prior = tracks.columns[columns], self.scenario.prior(other, truth[0])
+        anchor = tracks.columns[columns]
         several = not np.array_equal(anchor, np.arange(known.count))
         known = known.those(anchor) if several else known
         for array in (truth, *known.arrays.values()):
             array.setflags(write=False)
-        return Drawn(
+        drawn = Drawn(
             truth=truth,
             measured=recording.measured_by(tracks, track, columns),
             known=known,
-            prior=None if prior is None else (prior[0][None], prior[1]),
+            prior=None,
             time=time if np.isfinite(time).any() else None,
             columns=anchor if several else None,
         )
+        return replace(drawn, prior=self._start(drawn, other))
+
+    def _start(self, drawn: Drawn, rng: np.random.Generator) -> tuple[Array, Array] | None:
+        """The prior (1, n) and (n, n) of a recorded track: the scenario's own, or from the track's
+        first fix; None where fixes are independent.
+        """
+        place = self.scenario
+        prior = place.prior(rng, drawn.truth[0])
+        if prior is None and place.motion is not None:
+            sigma, height = place.start_sigma_m, place.known_height_m
+            prior = prior_of(drawn.whole, place.motion, sigma, height)
+        return None if prior is None else (prior[0][None], prior[1])
 
     def _truth(self, numbers: range) -> Array:
         """True states (R, T, n), a view of one array if they are equal in all replications, as they

@@ -54,6 +54,12 @@ def per_replication(estimates: Estimates, truth: Array) -> dict[str, np.ndarray]
     return columns
 
 
+def commonest_outcome(estimates: Estimates) -> np.ndarray:
+    """The commonest outcome (R,) of the fixes; the worst of those that are equally common."""
+    count = np.stack([(estimates.outcome == one).sum(axis=1) for one in Outcome][::-1])
+    return np.asarray(OUTCOMES[::-1][count.argmax(axis=0)])
+
+
 def reasons(estimates: Estimates) -> np.ndarray:
     """The Reason (R, T) of each fix: NONE where the outcome is OK, and NOT_STATED where it is not
     OK and the estimator states none.

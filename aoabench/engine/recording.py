@@ -6,11 +6,47 @@ So the results of a track depend on no other track of the recording, bit for bit
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from aoabench.types import Anchors, Measurements, Tracks
+
+_MOST_PLACES = 2**21  # tracks times fixes of which fixes are stored at their places
+
+
+@dataclass(frozen=True)
+class Identity:
+    """A track's tag, None without a name; the names fix (T,) of its fixes; and `fixes`, their
+    places among the `total` fixes of the recording.
+    """
+
+    tag: str | None
+    fix: np.ndarray
+    fixes: slice
+    total: int
+
+    @classmethod
+    def of(cls, tracks: Tracks, track: int) -> Identity:
+        """The identity of one track."""
+        some = fixes_of(tracks, track)
+        return cls(tracks.tags[track] or None, tracks.fix[some], some, len(tracks.time))
+
+    def spread(self, array: np.ndarray, absent: float) -> np.ndarray:
+        """An array (1, F) over all fixes of the recording from one (1, T) of the track; `absent` in
+        place of the other tracks' fixes.
+        """
+        found = np.full((1, self.total), absent, dtype=array.dtype)
+        found[:, self.fixes] = array
+        return found
+
+
+def has_places(tracks: Tracks) -> bool:
+    """Whether each fix is stored with the place of its true position, over all tracks; not in very
+    long recordings of several tracks.
+    """
+    count = len(tracks.counts)
+    return count == 1 or count * len(tracks.time) <= _MOST_PLACES
 
 
 def random_number(tracks: Tracks, track: int) -> int:

@@ -13,6 +13,7 @@ from aoabench.config.adopt import as_estimator, as_noise, as_scenario
 from aoabench.config.plugins import construct, import_plugins
 from aoabench.engine import metrics
 from aoabench.engine.draws import Draws
+from aoabench.engine.recording import Identity
 from aoabench.engine.tiles import tile_of, try_tile
 from aoabench.errors import UserError, did_you_mean
 from aoabench.roles import Scenario
@@ -24,12 +25,13 @@ from aoabench.types import Batch, Estimates, Outcome
 class Replay:
     """One repeated replication of one estimator.
 
-    columns: one value per step: the truth true_x_m ...; the estimates x_m ..., their reported
-    standard deviations sigma_x_m ... and covariances cov_xx_m2 ..., error_3d_m, nees, outcome,
-    iterations; the measurements of anchor j (azimuth_<j>_rad, elevation_<j>_rad, delay_<j>_s,
-    rssi_<j>_dbm); the columns of the estimator's own `trace`: innovation_<j>_<component>, ess.
+    columns: one value per step: of a recording tag, fix and time_s; the truth true_x_m ...; the
+    estimates x_m ..., their reported standard deviations sigma_x_m ... and covariances cov_xx_m2
+    ..., error_3d_m, nees, outcome, reason, iterations, score, anchors_used; the measurements of
+    anchor j (azimuth_<j>_rad, elevation_<j>_rad, delay_<j>_s, rssi_<j>_dbm); the columns of the
+    estimator's own `trace`: innovation_<j>_<component>, ess.
     batch and truth (1, T, n) hold this replication alone. rmse_3d_m is computed now, stored_m is
-    stored in the run. error: the reason of a failure, or "".
+    stored in the run. error: the reason of a failure, or "". track: that of a recording.
     """
 
     run: Path
@@ -43,6 +45,7 @@ class Replay:
     rmse_3d_m: float
     stored_m: float
     error: str = ""
+    track: Identity | None = None
 
     @property
     def as_stored(self) -> bool:
@@ -76,7 +79,8 @@ def replay(
     i = replication - first
     truth, estimates, errors = try_tile(draws, method, first)
     _, batch = draws.tile(first, size)
-    columns = _estimated(truth[i], estimates, i) | _measured(batch, i)
+    track = None if draws.tracks is None else Identity.of(draws.tracks, replication)
+    columns = _named(track, batch) | _estimated(truth[i], estimates, i) | _measured(batch, i)
     if replication not in errors:
         streams = draws.streams(tuple(range(first, first + size)))
         traced = method.trace(batch, scenario, streams)
@@ -94,6 +98,7 @@ def replay(
         rmse_3d_m=float(rmse),
         stored_m=_stored(run, record["estimators"][estimator]["key"], replication),
         error=errors.get(replication, ""),
+        track=track,
     )
 
 
@@ -131,6 +136,15 @@ def _stored(run: Path, key: str, replication: int) -> float:
     return folder.value(run, key, "rmse_3d_m", replication)
 
 
+def _named(track: Identity | None, batch: Batch) -> dict[str, np.ndarray]:
+    """Columns of a recorded track's tag, fixes and times."""
+    if track is None:
+        return {}
+    T = len(track.fix)
+    time = np.full(T, np.nan) if batch.time is None else batch.time[0]
+    return {"tag": np.full(T, track.tag, dtype=object), "fix": track.fix, "time_s": time}
+
+
 def _estimated(truth: np.ndarray, estimates: Estimates, i: int) -> dict[str, np.ndarray]:
     """Columns of the truth (T, n) and of the estimates in the tile's i-th replication."""
     columns: dict[str, np.ndarray] = {"step": np.arange(len(truth))}
@@ -144,17 +158,19 @@ def _estimated(truth: np.ndarray, estimates: Estimates, i: int) -> dict[str, np.
     columns["error_3d_m"] = metrics.distance(error)
     names = [Outcome(int(o)).name.lower() for o in estimates.outcome[i]]
     columns["outcome"] = np.array(names, dtype=object)
+    columns["reason"] = metrics.REASONS[metrics.reasons(estimates)[i]]
     if P is not None:
         for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
             columns[f"cov_{'xyz'[a]}{'xyz'[b]}_m2"] = P[i, :, a, b]
         columns["nees"] = metrics.nees(error[None], P[i : i + 1])[0]
-    if estimates.iterations is not None:
-        columns["iterations"] = np.asarray(estimates.iterations)[i]
+    for name in ("iterations", "score", "anchors_used"):
+        if (value := getattr(estimates, name)) is not None:
+            columns[name] = np.asarray(value)[i]
     return columns
 
 
 def _measured(batch: Batch, i: int) -> dict[str, np.ndarray]:
-    """Columns of the measurements in the tile's i-th replication."""
+    """Columns of the measurements in the tile's i-th replication, by the places of the batch."""
     named = {
         "azimuth_{}_rad": batch.azimuth,
         "elevation_{}_rad": batch.elevation,

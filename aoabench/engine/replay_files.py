@@ -26,7 +26,7 @@ def write(replay: Replay, export: str | None = None) -> str:
     name = re.sub(r"[^\w.-]|^\.", "_", replay.estimator)  # the name must not leave the folder
     stem = f"{replay.record['cell']}-{name}-{replay.replication}"
     path = replay.run / "replay" / f"{stem}.parquet"
-    special = {"step": "int64", "outcome": "string"}
+    special = {"step": "int64"} | dict.fromkeys(("outcome", "reason", "tag", "fix"), "string")
     kinds = {column: special.get(column, "double") for column in replay.columns}
     write_table(path, replay.columns, schema(kinds, provenance(replay.record["config"])))
     lines = [_summary(replay), *([replay.error] if replay.error else []), f"trace: {path}"]
@@ -40,23 +40,39 @@ def _summary(replay: Replay) -> str:
         if replay.as_stored
         else f"stored: {replay.stored_m:.17g}; code or libraries have changed since the run"
     )
-    return (
-        f"cell {replay.record['cell']}, {replay.estimator}, replication {replay.replication}: "
-        f"rmse_3d_m = {replay.rmse_3d_m:.17g} ({same})"
+    tag = "" if replay.track is None or replay.track.tag is None else f" (tag {replay.track.tag})"
+    which = (
+        f"cell {replay.record['cell']}, {replay.estimator}, replication {replay.replication}{tag}"
     )
+    if _has_truth(replay):
+        return f"{which}: rmse_3d_m = {replay.rmse_3d_m:.17g} ({same})"
+    return f"{which}: {_counted(replay)}, no ground truth"
+
+
+def _has_truth(replay: Replay) -> bool:
+    return bool(np.isfinite(replay.truth[0, :, :2]).all(axis=1).any())
+
+
+def _counted(replay: Replay) -> str:
+    """The number of fixes with a position."""
+    outcome = replay.columns["outcome"]
+    given = int((~np.isin(outcome, ["failed", "rejected"])).sum())
+    return f"{given} of {len(outcome)} fixes have a position"
 
 
 def _picture(replay: Replay, path: Path) -> Path:
-    record, scenario = replay.record, replay.scenario
+    record, scenario, known = replay.record, replay.scenario, _has_truth(replay)
+    result = f"RMSE {replay.rmse_3d_m:.3g} m" if known else _counted(replay)
+    tag = "" if replay.track is None or replay.track.tag is None else f", tag {replay.track.tag}"
     title = (
         f"{record['scenario']}, {record['noise']}: {replay.estimator}, "
-        f"replication {replay.replication}, RMSE {replay.rmse_3d_m:.3g} m"
+        f"replication {replay.replication}{tag}, {result}"
     )
     anchors = scenario.true_anchors.position[0, 0]
     frame = pd.read_parquet(path)
 
     def draw() -> Any:
-        moving = scenario.motion is not None
+        moving = scenario.motion is not None or not known
         return trace.figure(frame, title, anchors, scenario.wall_segments, moving)
 
     return plots.save(draw, path.with_suffix(".png"))
@@ -64,7 +80,9 @@ def _picture(replay: Replay, path: Path) -> Path:
 
 def _exported(replay: Replay, path: Path, kind: str) -> str:
     """Write <path>-measurements.<kind>, <path>-anchors.csv; return the command that reads them."""
-    measurements, known = longtable.as_tables(replay.batch, replay.truth[0])
+    track = replay.track
+    names = (None, None) if track is None else (track.tag, track.fix)
+    measurements, known = longtable.as_tables(replay.batch, replay.truth[0], *names)
     log, anchors = (
         path.with_name(f"{path.stem}-{end}") for end in (f"measurements.{kind}", "anchors.csv")
     )
@@ -79,5 +97,7 @@ def _exported(replay: Replay, path: Path, kind: str) -> str:
         words.append(f"'scenario.bounds_m={np.asarray(bounds).tolist()}'".replace(" ", ""))
     if np.nanmax(np.abs(replay.batch.elevation), initial=0.0) > np.pi / 2:
         words.append("scenario.elevation_limit_deg=180")
+    if measurements.duplicated(["fix", "anchor"]).any():
+        words.append("scenario.combine=each")
     last = f"'estimator=[{replay.estimator}]'"
     return f"read the log: aoabench run scenario=recorded {' '.join(words)} {last}"

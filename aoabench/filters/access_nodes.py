@@ -33,17 +33,18 @@ import numpy as np
 
 from aoabench.errors import Unfit
 from aoabench.filters.belief import Belief, believed
-from aoabench.filters.divergence import Filtered, InnovationBound
+from aoabench.filters.divergence import Filtered
 from aoabench.filters.heard import heard_alone
+from aoabench.filters.recursion import KalmanFilter, Recursion
 from aoabench.filters.roots import EPS, absorb, covariance, moved, near, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.limits import ROUNDED
-from aoabench.kernels.loading import Compiled, engine_param
+from aoabench.kernels.loading import engine_param
 from aoabench.maths.geometry import LIGHT, Array, wrap
 from aoabench.maths.places import at_anchors
 from aoabench.models.components import LEAST_VARIANCE
 from aoabench.params import param
-from aoabench.roles import NEEDS, Estimator, Scenario
+from aoabench.roles import NEEDS, Scenario
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Estimates
 
@@ -54,7 +55,7 @@ RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 
 @dataclass(frozen=True)
-class AccessNodeEKF(InnovationBound, Compiled, Estimator):
+class AccessNodeEKF(KalmanFilter):
     """EKF with times and angles of arrival, or angles alone.
 
     An AN on the predicted mean, or nearer than 0.001 of its standard deviation, has no meaningful
@@ -87,22 +88,28 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
 
         A fix is DIVERGED, and keeps its position, for one of the reasons of `filters.divergence`.
         """
+        filtered, belief = self.recursion(batch, scenario)
+        return self.outcomes(filtered, None, batch.layout, belief)
+
+    def recursion(self, batch: Batch, scenario: Scenario, whole: bool = False) -> Recursion:
         belief = believed(batch, scenario)
         if self.toa and (batch.delay is None or batch.delay_sigma is None):
             raise Unfit(*NEEDS["delay"])
         if batch.azimuth_sigma is None or batch.elevation_sigma is None:
             raise Unfit(*NEEDS["stated_sigma"])
-        batch = heard_alone(batch)
-        return self.outcomes(self.filtered(batch, belief), None, batch.layout, belief)
+        size = belief.size if whole else 3
+        return self.filtered(heard_alone(batch), belief, size), belief
 
-    def filtered(self, batch: Batch, belief: Belief) -> Filtered:
-        """The recursion, in the kernel if there is one."""
+    def filtered(self, batch: Batch, belief: Belief, size: int = 3) -> Filtered:
+        """The recursion, in the kernel if there is one; of the state, the first `size`
+        components.
+        """
         compiled = self.compiled(batch.anchors)
         belief = belief._replace(covariance=prior_root(belief.covariance))
         if compiled is None:
-            return self._recursion(belief, *self.measured(batch), batch.anchors)
+            return self._recursion(belief, *self.measured(batch), batch.anchors, size=size)
         flags = tuple(name in self.as_printed for name in PRINTED)
-        return Filtered(*compiled.run(belief, batch, self.toa, flags))
+        return Filtered(*compiled.run(belief, batch, self.toa, flags, size))
 
     def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
         """Innovations (R, T) at the predicted mean, by access node and component; NaN where the
@@ -147,9 +154,11 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
         q: Array,
         anchors: Anchors,
         seen: list[Array] | None = None,
+        size: int = 3,
     ) -> Filtered:
-        """The kernel's recursion in NumPy, over the results of `measured`; the covariance of
-        `belief` is a square root, and innovations (R, K, 3) are appended to `seen`.
+        """The kernel's recursion in NumPy, over the results of `measured`, with the first `size`
+        components of the state; the covariance of `belief` is a square root, and innovations
+        (R, K, 3) are appended to `seen`.
         """
         mean, root = belief.mean, belief.covariance
         flags = tuple(name in self.as_printed for name in PRINTED)
@@ -173,8 +182,8 @@ class AccessNodeEKF(InnovationBound, Compiled, Estimator):
                 c, u = columns(A, g)
                 f = np.swapaxes(B[:, :3], -1, -2) @ c
                 x, B, squared = absorb(x, B, f, u, np.ones_like(u))
-                means.append(x[:, :3])
-                covariances.append(covariance(B[:, :3]))
+                means.append(x[:, :size])
+                covariances.append(covariance(B[:, :size]))
                 nis.append((1 - ROUNDED) * (squares - (u * u).sum(-1)) + squared)
         P, squared = np.stack(covariances, axis=1), np.stack(nis, axis=1)
         return Filtered(np.stack(means, axis=1), P, squared, np.isfinite(y).sum(axis=(2, 3)))

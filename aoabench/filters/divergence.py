@@ -84,9 +84,9 @@ class InnovationBound(ExtentBound):
 
 
 class Filtered(NamedTuple):
-    """A Kalman filter's positions (R, T, 3) m, covariances (R, T, 3, 3) m^2, normalised innovations
-    squared (R, T), without what rounding may add to them, and numbers of measured components
-    (R, T).
+    """A Kalman filter's positions (R, T, 3) m or states (R, T, n), their covariances, normalised
+    innovations squared (R, T), without what rounding may add to them, and numbers of measured
+    components (R, T).
     """
 
     position: Array

@@ -22,10 +22,11 @@ import numpy as np
 
 from aoabench.filters.belief import Belief, believed
 from aoabench.filters.compiled import COMPONENTS, kind_of
-from aoabench.filters.divergence import Filtered, InnovationBound
+from aoabench.filters.divergence import Filtered
+from aoabench.filters.recursion import KalmanFilter, Recursion
 from aoabench.filters.roots import absorb, covariance, moved, near, predicted, prior_root
 from aoabench.filters.trace import innovations
-from aoabench.kernels.loading import Compiled, engine_param
+from aoabench.kernels.loading import engine_param
 from aoabench.maths.geometry import Array
 from aoabench.models.azel import AzEl
 from aoabench.models.unit_vector import UnitVector
@@ -40,7 +41,7 @@ Innovation = tuple[Array, Array, Array, Array]  # B, f, v, r of `roots.absorb`
 
 
 @dataclass(frozen=True)
-class _Kalman(InnovationBound, Compiled, Filter):
+class _Kalman(KalmanFilter, Filter):
     """Recursion of EKF and UKF, with the scenario's motion model and prior."""
 
     measurement: Measurement = param(
@@ -64,22 +65,24 @@ class _Kalman(InnovationBound, Compiled, Filter):
 
         A fix is DIVERGED, and keeps its position, for one of the reasons of `filters.divergence`.
         """
-        belief = believed(batch, scenario)
-        filtered = self.filtered(batch, belief)
+        filtered, belief = self.recursion(batch, scenario)
         return self.outcomes(filtered, None, batch.layout, belief)
 
-    def filtered(self, batch: Batch, belief: Belief) -> Filtered:
-        """The recursion over the measurements, in the kernel if it has the measurement model, else
-        in NumPy.
-        """
+    def recursion(self, batch: Batch, scenario: Scenario, whole: bool = False) -> Recursion:
+        belief = believed(batch, scenario)
+        return self.filtered(batch, belief, belief.size if whole else 3), belief
+
+    def filtered(self, batch: Batch, belief: Belief, size: int = 3) -> Filtered:
+        """The state's first `size` components, by the kernel if there is one, else in NumPy."""
         belief = belief._replace(covariance=prior_root(belief.covariance))
         given = self._given(batch)
         if given is None:
             with np.errstate(all="ignore"):  # deviations that are 0 or infinite are not measured
-                return self._recursion(batch.anchors, belief, *self.measurement.observe(batch))
+                observed = self.measurement.observe(batch)
+                return self._recursion(batch.anchors, belief, *observed, size=size)
         kernels, kind, measured = given
         R, T = batch.azimuth.shape[:2]
-        out = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T))
+        out = np.empty((R, T, size)), np.empty((R, T, size, size)), np.empty((R, T))
         counts = np.empty((R, T), dtype=np.int64)
         anchors = batch.anchors.position, batch.anchors.rotation
         arrays = *belief, *measured, *anchors, self.measurement.variances()
@@ -116,13 +119,12 @@ class _Kalman(InnovationBound, Compiled, Filter):
         Y: Array,
         quality: Array,
         seen: list[Array] | None = None,
+        size: int = 3,
     ) -> Filtered:
-        """The recursion in NumPy, for any measurement model.
-
-        Innovations (R, m) are appended to `seen`. The covariance of `belief` is a square root.
+        """`filtered` in NumPy, for any measurement model; the covariance of `belief` is a square
+        root, and innovations (R, m) are appended to `seen`.
         """
-        h = self.measurement
-        x = np.asarray(belief.mean)
+        h, x = self.measurement, np.asarray(belief.mean)
         B = np.broadcast_to(belief.covariance, (*x.shape, x.shape[-1]))
         means, covariances, nis = [], [], []
         with np.errstate(all="ignore"):  # overflow becomes NaN and is counted as failed
@@ -133,8 +135,8 @@ class _Kalman(InnovationBound, Compiled, Filter):
                 if seen is not None:
                     seen.append(h.residual(Y[:, k], h.predict(x, here)))
                 x, B, squared = absorb(x, *self.innovation(x, L, Y[:, k], quality[:, k], here))
-                means.append(x[:, :3])
-                covariances.append(covariance(B[:, :3]))
+                means.append(x[:, :size])
+                covariances.append(covariance(B[:, :size]))
                 nis.append(squared)
         position, P, squares = (np.stack(each, axis=1) for each in (means, covariances, nis))
         return Filtered(position, P, squares, np.isfinite(Y).sum(axis=-1))

@@ -257,7 +257,7 @@ def ekf(
     position, rotation, sigma, toa, jacobian, unwrapped, shared, apart,
     means, covariances, nis, used,
 ):  # fmt: skip
-    """EKF means (R, T, 3) m, covariances (R, T, 3, 3) m^2, normalised innovations squared (R, T)
+    """EKF means (R, T, 3|n), covariances (R, T, 3|n, 3|n), normalised innovations squared (R, T)
     and numbers (R, T) of measured components, into the last four arguments.
 
     x0 (R, n), root0 (n, n): prior mean, lower factor of the prior covariance; F, Q (R|1, T|1, n,
@@ -329,9 +329,8 @@ def ekf(
                 used[start + r, k] = int(w[U, r])
 
 
-def run(belief, batch, toa, flags):
-    """Positions (R, T, 3) m, covariances (R, T, 3, 3) m^2, normalised innovations squared (R, T)
-    and numbers (R, T) of measured components.
+def run(belief, batch, toa, flags, size):
+    """The first `size` components of the states, and what `ekf` gives beside them.
 
     The covariance of `belief` is a square root; toa: whether the delays are used; flags: errata.
     """
@@ -344,6 +343,7 @@ def run(belief, batch, toa, flags):
         batch.anchors.position, rotation.reshape(*rotation.shape[:3], 9),
         np.zeros((1, 1, K, 3)) if own is None else own,
     )  # fmt: skip
-    out = np.empty((R, T, 3)), np.empty((R, T, 3, 3)), np.empty((R, T)), np.empty((R, T), int)
+    shapes = (R, T, size), (R, T, size, size), (R, T)
+    out = *map(np.empty, shapes), np.empty((R, T), int)
     ekf(*(np.ascontiguousarray(a, dtype=float) for a in arrays), toa, *flags, *out)
     return out

@@ -184,7 +184,7 @@ def ekf(
     kind, x0, root0, F, Q, azimuth, elevation, azimuth_sigma, elevation_sigma, position, rotation,
     table, means, covariances, nis, measured,
 ):  # fmt: skip
-    """EKF of each replication: means (R, T, 3), covariances (R, T, 3, 3), normalised innovations
+    """EKF of each replication: means (R, T, 3|n), their covariances, normalised innovations
     squared (R, T) and numbers of measured components (R, T) from angles (R, T, B) and their
     deviations (R|1, T|1, B) in rad.
 

@@ -26,6 +26,7 @@ _MODULES = (
     "lines",
     "robust",
     "discrepancy",
+    "smoother",
 )
 Say = Callable[[str], None]
 _collected: ContextVar[list[Any] | None] = ContextVar("collected", default=None)

@@ -280,15 +280,19 @@ def conclude(tile, x, root, w, T, Z):
 
 @spliced
 def store(tile, x, root, squared, start, k, means, covariances, nis):
-    """Store position, covariance and normalised innovation squared at step k; the covariance with
-    an increased diagonal as in `predict`.
+    """Store the normalised innovation squared at step k, and as many of the state's first
+    components as `means` has: position or whole state, and covariance, the latter with an increased
+    diagonal as in `predict`.
     """
+    raised = 1.0 + 2.0 * means.shape[2] * means.shape[2] * EPS
     for r in range(min(tile, len(means) - start)):
         nis[start + r, k] = squared[r]
-        for p in range(3):
+        for p in range(means.shape[2]):
             means[start + r, k, p] = x[p, r]
             for q in range(p + 1):
                 c = root[p, 0, r] * root[q, 0, r] + root[p, 1, r] * root[q, 1, r]
                 c += root[p, 2, r] * root[q, 2, r]
+                for l in range(3, q + 1):
+                    c += root[p, l, r] * root[q, l, r]
                 covariances[start + r, k, p, q] = covariances[start + r, k, q, p] = c
-            covariances[start + r, k, p, p] *= 1.0 + 18.0 * EPS
+            covariances[start + r, k, p, p] *= raised

@@ -7,7 +7,8 @@ Components in anchor order: azimuth and elevation of anchor 1, of anchor 2, ... 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +16,15 @@ import numpy as np
 from aoabench.errors import BadValue
 from aoabench.maths.directional import flipped_azimuth_std, flipped_elevation_moments
 from aoabench.maths.geometry import Array, in_frames, rotations_for, to_azel, wrap
-from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
+from aoabench.models.components import (
+    interleave,
+    into_state,
+    over_measured,
+    per_step,
+    stated_deviations,
+    unstated_param,
+    with_quality,
+)
 from aoabench.params import param
 from aoabench.roles import Measurement, Noise
 from aoabench.types import Anchors, Batch, Calibration
@@ -34,12 +43,9 @@ class AzEl(Measurement):
         above=0,
         most=180,
     )
+    _: KW_ONLY
+    unstated_deg: Sequence[float] = unstated_param()
     kernel = "azel"
-
-    @property
-    def needs(self) -> frozenset[str]:
-        """Stated deviations, if the model has none of its own."""
-        return frozenset({"stated_sigma"}) if self.sigma_deg is None else frozenset()
 
     def sigmas(self) -> tuple[float, float] | None:
         """Deviations (azimuth, elevation) in rad, or None for the measurements' own."""
@@ -51,13 +57,7 @@ class AzEl(Measurement):
         if own is not None:
             azimuth, elevation = np.tile(np.reshape(own, (2, 1, 1, 1)), batch.azimuth.shape[2])
             return azimuth, elevation
-        if batch.azimuth_sigma is None or batch.elevation_sigma is None:
-            raise BadValue(
-                "sigma_deg",
-                None,
-                "a number, because these measurements do not state their deviations",
-            )
-        return batch.azimuth_sigma, batch.elevation_sigma
+        return stated_deviations(batch, self.unstated_deg)
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
         """Azimuths and elevations (R, T, 2B) rad with their nominal variances (R, T, 2B) rad^2."""
@@ -125,11 +125,6 @@ class AzElFitted(AzEl):
         super().__post_init__()
         _calibration_of(self.noise)
 
-    @property
-    def needs(self) -> frozenset[str]:
-        """The empty set, because the model has deviations of its own."""
-        return frozenset()
-
     def sigmas(self) -> tuple[float, float]:
         """Deviations (azimuth, elevation) in rad."""
         if self.sigma_deg is not None:
@@ -184,11 +179,6 @@ class AzElAdaptive(AzEl):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.nominal()
-
-    @property
-    def needs(self) -> frozenset[str]:
-        """The empty set, because the model has deviations of its own."""
-        return frozenset()
 
     def nominal(self) -> float:
         """The nominal deviation in rad of the table."""

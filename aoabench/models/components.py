@@ -3,12 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from aoabench.maths.geometry import Array
+from aoabench.params import param
+from aoabench.types import Batch
 
+UNSTATED_DEG = (6.0, 12.0)  # what Bluetooth arrays do in rooms, errors that persist included
 LEAST_VARIANCE = 1e-32  # rad^2: angles themselves are rounded to some 1e-16 rad
+
+
+def unstated_param() -> Any:
+    """The parameter of deviations where a device states none."""
+    return param(
+        UNSTATED_DEG,
+        "standard deviations of azimuth and elevation for measurements that do not state them",
+        unit="deg",
+        shape=(2,),
+        above=0,
+        most=180,
+    )
+
+
+def stated_deviations(batch: Batch, unstated_deg: Sequence[float]) -> tuple[Array, Array]:
+    """Deviations (R|1, T|1, B) rad of azimuths and elevations: the stated ones, or `unstated_deg`
+    for both or for elevations where the measurements state none.
+    """
+    own = np.deg2rad(np.asarray(unstated_deg, dtype=float))
+    each = np.ones((1, 1, batch.azimuth.shape[2]))
+    stated = batch.azimuth_sigma, batch.elevation_sigma
+    azimuth, elevation = (own[i] * each if s is None else s for i, s in enumerate(stated))
+    return azimuth, elevation
 
 
 def interleave(parts: Sequence[Array]) -> Array:

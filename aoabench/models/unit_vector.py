@@ -6,14 +6,22 @@ Components in anchor order: x, y, z of the unit vector in the frame of anchor 1,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
-from aoabench.errors import BadValue
 from aoabench.maths.directional import kappa_from_sigma, vmf_log_peak
 from aoabench.maths.geometry import Array, in_frames, rotations_for, to_unit
-from aoabench.models.components import interleave, into_state, over_measured, per_step, with_quality
+from aoabench.models.components import (
+    interleave,
+    into_state,
+    over_measured,
+    per_step,
+    stated_deviations,
+    unstated_param,
+    with_quality,
+)
 from aoabench.params import param
 from aoabench.roles import Measurement
 from aoabench.types import Anchors, Batch
@@ -31,24 +39,23 @@ class UnitVector(Measurement):
         above=0,
         most=KAPPA_MOST,
     )
+    _: KW_ONLY
+    unstated_deg: Sequence[float] = unstated_param()
     kernel = "unit_vector"
 
     @property
     def needs(self) -> frozenset[str]:
-        """Elevations, and stated deviations if the model has no kappa of its own."""
-        return frozenset({"elevation"} | ({"stated_sigma"} if self.kappa is None else set()))
+        """Elevations: a direction has both angles."""
+        return frozenset({"elevation"})
 
     def deviations(self, batch: Batch) -> tuple[Array, Array]:
         """Nominal deviations (R|1, T|1, B) rad of azimuths and elevations, or 1 / sqrt(kappa)."""
         if self.kappa is not None:
             own = np.full((1, 1, batch.azimuth.shape[2]), 1.0 / np.sqrt(self.kappa))
             return own, own
-        if batch.azimuth_sigma is None:
-            raise BadValue(
-                "kappa", None, "a number, because these measurements do not state their deviations"
-            )
-        elevation = batch.elevation_sigma
-        return batch.azimuth_sigma, batch.azimuth_sigma if elevation is None else elevation
+        if batch.azimuth_sigma is not None and batch.elevation_sigma is None:
+            return batch.azimuth_sigma, batch.azimuth_sigma
+        return stated_deviations(batch, self.unstated_deg)
 
     def observe(self, batch: Batch) -> tuple[Array, Array]:
         """Unit vectors (R, T, 3B) and their nominal variances 1 / kappa (R, T, 3B), kappa at most

@@ -17,10 +17,11 @@ class Recorded(Noise):
     """The scenario's own recording; replaces the noise of a run if the scenario has a recording."""
 
     def sample(self, rng: np.random.Generator, scenario: Scenario, truth: Array) -> Measurements:
-        """The recorded measurements (T, B)."""
-        if scenario.recorded is None:
+        """The recorded measurements (F, B) of all tracks."""
+        tracks = scenario.tracks
+        if tracks is None:
             raise BadValue("noise", "recorded", "another noise, or a scenario with a recording")
-        return scenario.recorded
+        return tracks.measured
 
     def offers(self) -> frozenset[str]:
         """The empty set, because the scenario offers its measurements."""

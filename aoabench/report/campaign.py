@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aoabench.report import plots
-from aoabench.store import fixes as fixes_module
-from aoabench.types import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,50 +23,21 @@ STYLES = ("-", "--", "-.", ":")
 SCALE = "cividis"  # uniform in lightness, readable by colour-blind readers
 
 
-def write(
-    out: Path,
-    cell: str,
-    estimators: Sequence[str],
+def maps(
     truth: np.ndarray,
+    errors: Mapping[str, np.ndarray],
     anchors: np.ndarray,
     bounds: Any = None,
-) -> list[Path]:
-    """Draw <out>/figures/<cell>-cdf.png and -median_map.png from a run's stored fixes, and return
-    their paths; [] without ground truth.
-
-    truth (T, 2) m, the same in all replications, NaN where unknown; anchors (B, 2) m; bounds (2, 2)
-    m or None.
-    """
-    known = np.isfinite(truth).all(axis=1)
-    if not known.any():
-        return []
-    errors = {name: _errors(out, cell, name)[:, known] for name in estimators}
-    flat = {n: e.ravel() for n, e in errors.items()}
-    distribution, where = (out / "figures" / f"{cell}-{n}.png" for n in ("cdf", "median_map"))
-    return [
-        plots.save(lambda: cdf(flat), distribution),
-        plots.save(lambda: maps(truth[known], errors, anchors, bounds), where),
-    ]
-
-
-def _errors(out: Path, cell: str, estimator: str) -> np.ndarray:
-    """Errors in the plane (R, T) m of the positions that an estimator gives, NaN for the others."""
-    fixes = fixes_module.fixes(out, cell, estimator)
-    given = ~np.isin(fixes.outcome, [Outcome.FAILED, Outcome.REJECTED])
-    return np.where(given, fixes.error_xy_m, np.nan).astype(float)
-
-
-def maps(
-    truth: np.ndarray, errors: Mapping[str, np.ndarray], anchors: np.ndarray, bounds: Any = None
+    starts: Sequence[int] = (0,),
 ) -> Figure:
-    """Maps of the median errors at the true positions (T, 2) m; of a track, of the errors (R, T) m
-    in the first replication.
+    """Maps of the median errors at the true positions (T, 2) m; of a track, or of several that
+    begin at `starts`, of the errors (R, T) m in the first replication.
     """
     import pandas as pd
 
     points, place = places(truth)
     if len(points) > MOST_POINTS:
-        return track_maps(truth, {n: e[0] for n, e in errors.items()}, anchors, bounds)
+        return track_maps(truth, {n: e[0] for n, e in errors.items()}, anchors, bounds, starts)
     medians = {}
     for name, e in errors.items():
         where = np.tile(place, len(e))
@@ -144,9 +112,9 @@ def median_maps(
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 
-    extent = _extent(points, anchors, bounds)
+    extent = extent_of(points, anchors, bounds)
     side = 0.92 * _spacing(points, float(np.diff(extent, axis=0).max()))
-    figure, axes, inches = _panels(len(medians), extent)
+    figure, axes, inches = panels(len(medians), extent)
     norm = _norm(np.concatenate([np.asarray(m, dtype=float) for m in medians.values()]))
     size = float(np.clip(72 * inches * side / np.diff(extent[:, 0])[0] / 2.9, 2.5, 8))
     for axis, (name, median) in zip(axes, medians.items()):
@@ -160,11 +128,11 @@ def median_maps(
             axis.text(
                 x, y, _short(value), ha="center", va="center", fontsize=size, color=colour, zorder=5
             )
-        _finish(axis, name, anchors, bounds, extent)
+        finish(axis, name, anchors, bounds, extent)
     figure.colorbar(
         drawn, ax=list(axes), label="median error in the plane [m]", extend="max", shrink=0.8
     )
-    _legend(figure, axes)
+    legend(figure, axes)
     return figure
 
 
@@ -173,32 +141,34 @@ def track_maps(
     errors: Mapping[str, np.ndarray],
     anchors: np.ndarray,
     bounds: np.ndarray | None = None,
+    starts: Sequence[int] = (0,),
 ) -> Figure:
-    """A map for each method: the track (T, 2) m coloured by its error (T,); crosses mark fixes
-    without a position.
+    """A map for each method: the track (T, 2) m, or several that begin at `starts`, coloured by its
+    error (T,); crosses mark fixes without a position.
     """
-    thin = slice(None, None, -(-len(points) // MOST_DRAWN))
-    points = points[thin]
-    errors = {name: np.asarray(error, dtype=float)[thin] for name, error in errors.items()}
-    extent = _extent(points, anchors, bounds)
-    figure, axes, _ = _panels(len(errors), extent)
+    step = -(-len(points) // MOST_DRAWN)
+    points = points[::step]
+    errors = {name: np.asarray(error, dtype=float)[::step] for name, error in errors.items()}
+    extent = extent_of(points, anchors, bounds)
+    figure, axes, _ = panels(len(errors), extent)
     norm = _norm(np.concatenate(list(errors.values())))
+    path = np.insert(points, [i for i in -(-np.array(starts) // step) if i], np.nan, axis=0)
     for axis, (name, error) in zip(axes, errors.items()):
-        if _is_path(points, extent):
-            axis.plot(*points.T, color="0.8", linewidth=0.5, zorder=1)
+        if is_path(points, extent):
+            axis.plot(*path.T, color="0.8", linewidth=0.5, zorder=1)
         given = np.isfinite(error)
         if not given.all():
             look = {"marker": "x", "s": 8, "linewidths": 0.5, "color": "0.4", "zorder": 2}
             axis.scatter(*points[~given].T, label="no position", **look)
         look = {"s": 7, "cmap": _scale(), "norm": norm, "linewidths": 0, "zorder": 3}
         drawn = axis.scatter(*points[given].T, c=error[given], **look)
-        _finish(axis, name, anchors, bounds, extent)
+        finish(axis, name, anchors, bounds, extent)
     figure.colorbar(drawn, ax=list(axes), label="error in the plane [m]", extend="max", shrink=0.8)
-    _legend(figure, axes)
+    legend(figure, axes)
     return figure
 
 
-def _is_path(points: np.ndarray, extent: np.ndarray) -> bool:
+def is_path(points: np.ndarray, extent: np.ndarray) -> bool:
     """Whether positions (T, 2) m form a continuous track instead of jumping about the room."""
     if len(points) < 2:
         return False
@@ -232,7 +202,7 @@ def _norm(values: np.ndarray) -> Any:
     return Normalize(0.0, float(np.quantile(known, 0.95)) or 1.0 if len(known) else 1.0)
 
 
-def _extent(points: np.ndarray, anchors: np.ndarray, bounds: Any) -> np.ndarray:
+def extent_of(points: np.ndarray, anchors: np.ndarray, bounds: Any) -> np.ndarray:
     """Lower and upper corner (2, 2) m of points, anchors and bounds, with a margin."""
     corners = [points, anchors] + ([np.asarray(bounds, dtype=float)] if bounds is not None else [])
     every = np.concatenate(corners)
@@ -254,7 +224,7 @@ def _spacing(points: np.ndarray, extent: float) -> float:
     return float(np.clip(np.quantile(distance.min(axis=1), 0.1), extent / 40, extent / 4))
 
 
-def _panels(count: int, extent: np.ndarray) -> tuple[Figure, Any, float]:
+def panels(count: int, extent: np.ndarray) -> tuple[Figure, Any, float]:
     """A figure with `count` panels, their axes in order, and the width of one map in inches."""
     cols = 2 if count == 4 else min(count, 3)
     rows = math.ceil(count / cols)
@@ -276,7 +246,7 @@ def _panels(count: int, extent: np.ndarray) -> tuple[Figure, Any, float]:
     return figure, axes.ravel()[:count], float(inches)
 
 
-def _finish(axis: Any, name: str, anchors: np.ndarray, bounds: Any, extent: np.ndarray) -> None:
+def finish(axis: Any, name: str, anchors: np.ndarray, bounds: Any, extent: np.ndarray) -> None:
     from matplotlib.patches import Rectangle
 
     look = {"s": 34, "facecolor": "none", "edgecolor": "#D55E00", "linewidth": 1.2}
@@ -290,7 +260,7 @@ def _finish(axis: Any, name: str, anchors: np.ndarray, bounds: Any, extent: np.n
     axis.grid(False)
 
 
-def _legend(figure: Figure, axes: Any) -> None:
+def legend(figure: Figure, axes: Any) -> None:
     named = {
         label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels())
     }

@@ -31,8 +31,8 @@ def figure(
     walls: np.ndarray | None = None,
     moving: bool = True,
 ) -> Figure:
-    """Plan and errors of a trace (see `engine.replay.replay`), below them innovations and effective
-    particles, if any.
+    """Plan and errors of a trace (see `engine.replay.replay`), without known truth the stated
+    deviations; below them innovations and effective particles, if any.
 
     anchors (B, 3) m, walls (W, 2, 2) m or None; `moving`: the positions are one path, not separate
     points.
@@ -53,7 +53,7 @@ def figure(
     for axis, draw in zip(grid[:, 1], panels):
         axis.margins(x=0.01)
         draw(axis, frame)
-    if not moving:
+    if not moving and grid[0, 1].lines:
         grid[0, 1].lines[0].set(linestyle="none", marker=".", markersize=2)
     for axis in grid[:-1, 1]:
         axis.set_xticklabels([])
@@ -86,7 +86,8 @@ def _path(axis: Any, frame: pd.DataFrame) -> None:
     """Draw the true and the estimated path, with ellipses."""
     x, y, at, to = (frame[c].to_numpy() for c in POSITIONS)
     blue, marker = plots.COLOURS["vmf"], "." if len(frame) <= 300 else "none"
-    axis.plot(x, y, color=plots.GREY, linewidth=2.2, alpha=0.7, label="truth")
+    if np.isfinite(x).any():
+        axis.plot(x, y, color=plots.GREY, linewidth=2.2, alpha=0.7, label="truth")
     axis.plot(at, to, color=blue, marker=marker, markersize=3, linewidth=0.8, label="estimate")
     _ellipses(axis, frame, blue)
 
@@ -121,15 +122,13 @@ def _ellipses(axis: Any, frame: pd.DataFrame, colour: str) -> None:
 
 
 def _errors(axis: Any, frame: pd.DataFrame) -> None:
-    axis.plot(
-        frame["step"], frame["error_3d_m"], color=plots.COLOURS["vmf"], linewidth=1.0, label="error"
-    )
+    known = frame["error_3d_m"].notna().any() or frame["true_x_m"].notna().any()
+    if known:
+        look = {"color": plots.COLOURS["vmf"], "linewidth": 1.0, "label": "error"}
+        axis.plot(frame["step"], frame["error_3d_m"], **look)
     if "cov_xx_m2" in frame:
-        stated = np.sqrt(
-            np.maximum(
-                frame[["cov_xx_m2", "cov_yy_m2", "cov_zz_m2"]].sum(axis=1, skipna=False), 0.0
-            )
-        )
+        z = frame["cov_zz_m2"].fillna(0.0)  # of a position in the plane
+        stated = np.sqrt(np.maximum(frame["cov_xx_m2"] + frame["cov_yy_m2"] + z, 0.0))
         axis.fill_between(
             frame["step"],
             0,
@@ -139,7 +138,7 @@ def _errors(axis: Any, frame: pd.DataFrame) -> None:
             linewidth=0,
             label="stated, 1 sigma",
         )
-    axis.set_ylabel("3-D error [m]")
+    axis.set_ylabel("3-D error [m]" if known else "standard deviation [m]")
     axis.set_ylim(bottom=0)
     _legend_above(axis)
 
@@ -169,6 +168,8 @@ def _innovations(axis: Any, frame: pd.DataFrame) -> None:
 
 
 def _legend_above(axis: Any) -> None:
+    if not axis.get_legend_handles_labels()[0]:
+        return
     axis.legend(
         loc="lower right", bbox_to_anchor=(1.0, 0.96), ncols=3, handlelength=1.5, borderaxespad=0
     )

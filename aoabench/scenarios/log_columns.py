@@ -15,8 +15,8 @@ def _column(help: str, default: str) -> Any:
 
 @dataclass(frozen=True)
 class Columns(CheckedParams):
-    """Names of the columns in the file. The columns azimuth, anchor, and fix or time are required.
-    An empty angle was not measured.
+    """Names of the columns in the file. The columns azimuth, anchor, and fix, sequence or time are
+    required. An empty angle was not measured.
     """
 
     azimuth: str | None = _column("azimuths", "azimuth_deg or azimuth_rad")
@@ -26,6 +26,13 @@ class Columns(CheckedParams):
     time: str | None = _column(
         "times by one clock, numbers or dates and times (ISO 8601)", "time_s, or by time_unit"
     )
+    tag: str | None = _column("the tags' names; each tag has tracks of its own", "tag")
+    sequence: str | None = _column(
+        "the tags' own numbers of packets, equal at all anchors, used in place of time", "sequence"
+    )
+    anchor_time: str | None = _column(
+        "times by a clock of each anchor's own", "anchor_time_s, or by time_unit"
+    )
     rssi: str | None = _column("signal strengths in dBm", "rssi_dbm")
     azimuth_sigma: str | None = _column(
         "the azimuths' standard deviations", "azimuth_sigma_deg or azimuth_sigma_rad"
@@ -33,6 +40,8 @@ class Columns(CheckedParams):
     elevation_sigma: str | None = _column(
         "the elevations' standard deviations", "elevation_sigma_deg or elevation_sigma_rad"
     )
+    range: str | None = _column("ranges in m", "range_m")
+    range_sigma: str | None = _column("the ranges' standard deviations in m", "range_sigma_m")
     heading: str | None = _column(
         "the mobile's heading in deg, if heading_deg is null", "heading_deg"
     )

@@ -1,150 +1,61 @@
-"""A user's own recording: measurements and, if recorded, ground truth from a long table.
+"""A user's own recording: tracks of tags from a log and, if recorded, their true positions.
 
-`devices.log` converts its columns to aoabench's conventions.
+`devices.log` converts a log's columns to aoabench's conventions, `devices.grouping` and
+`devices.combining` make fixes of its packets.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from aoabench import loaded
-from aoabench.devices import log
+from aoabench.devices import identity, log
 from aoabench.devices.anchors import AnchorsFile, read_anchors
-from aoabench.devices.columns import EXISTING
+from aoabench.devices.combining import combined
 from aoabench.devices.extent import Thing, check_anchors
+from aoabench.devices.formats import opened
+from aoabench.devices.geodesy import Origin
+from aoabench.devices.grouping import grouped, tracks
+from aoabench.devices.naming import chosen_columns, default_names
+from aoabench.devices.packets import Given, Packets, read_packets
+from aoabench.devices.reading import Content
 from aoabench.devices.table import Table
-from aoabench.errors import BadValue, check_array
+from aoabench.devices.truth import read_truth
+from aoabench.errors import BadValue, check_array, listed
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
-from aoabench.params import param
-from aoabench.roles import Scenario
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
-from aoabench.scenarios.parameters import least_heard_param, name_param
+from aoabench.scenarios.log_parameters import LogParameters
 from aoabench.types import Anchors, Measurements, Tracks
+
+__all__ = ["Columns", "Recorded"]
+
+
+class Read(NamedTuple):
+    """A log's tracks, and remarks to print."""
+
+    tracks: Tracks
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Recorded(Scenario):
-    """One recording of T fixes: one replication, nothing is drawn, no motion and no prior.
+class Recorded(LogParameters):
+    """A recording: each track of a tag is a replication, and nothing is drawn.
 
-    Fixes are in order of their times, or of their first appearance if the file numbers them. CSV
-    has a header, commas and decimal points. The file of anchors has the columns x_m, y_m and, where
-    needed, id (else 1, 2, ...), z_m, facing_deg, pitch_deg, roll_deg (else 0). The last three turn
-    the anchor's axes by Rz(facing) Ry(pitch) Rx(roll): facing counter-clockwise from the global +x,
-    pitch > 0 down.
+    The fixes of a track are in the order of their times; without times in that of their sequence
+    numbers, or of the fixes' numbers, or of their first appearance. Tags are in natural order. The
+    file of anchors has the columns x_m, y_m and, where needed, id (else 1, 2, ...), z_m,
+    facing_deg, pitch_deg, roll_deg (else 0), clock_offset_s. The angles turn the anchor's axes by
+    Rz(facing) Ry(pitch) Rx(roll): facing counter-clockwise from the global +x, pitch > 0 down.
     """
 
-    name: str = name_param()
-    path: str = param(
-        help="CSV or Parquet file, a row per anchor and measurement", allowed=f"an {EXISTING}"
-    )
-    anchors: AnchorLayout | str = param(
-        help="CSV or Parquet file of the anchors, or a layout",
-        kind=AnchorLayout,
-        allowed=f"an {EXISTING}, or an AnchorLayout",
-    )
-    columns: Columns = param(
-        Columns(),
-        "names of the file's columns",
-        kind=Columns,
-        allowed="the names of columns, see Columns",
-    )
-    anchor_ids: Sequence[Any] | None = param(
-        None, "ids in the recording of a layout's anchors; null: numbers from 1"
-    )
-    unknown_anchors: str = param(
-        "error",
-        "treatment of rows of anchors that are not listed: an error, or left out (ignore)",
-        choices=("error", "ignore"),
-    )
-    window_s: float = param(
-        0.0,
-        "rows up to this long after the first row of a fix belong to it; 0: rows of equal time",
-        unit="s",
-        least=0,
-    )
-    time_unit: str = param("s", "unit of times that are numbers", choices=tuple(log.SECONDS))
-    duplicates: str = param(
-        "error",
-        "treatment of differing rows of an anchor in a fix: an error, or the first or last is used",
-        choices=("error", "first", "last"),
-    )
-    azimuth_unit: str = param("deg", "unit of azimuths", choices=tuple(log.TURN))
-    azimuth_sense: str = param(
-        "counterclockwise",
-        "sense of azimuths, seen from above (from the +z of the frame)",
-        choices=("counterclockwise", "clockwise"),
-    )
-    azimuth_zero_deg: float = param(
-        0.0,
-        "direction of azimuth 0, counter-clockwise from the +x of the frame",
-        unit="deg",
-        least=-360,
-        most=360,
-    )
-    elevation_unit: str = param("deg", "unit of elevations", choices=tuple(log.TURN))
-    elevation_kind: str = param(
-        "elevation",
-        "elevation: up from the horizontal; depression: down from it; zenith: from straight up; "
-        "none: not used",
-        choices=("elevation", "depression", "zenith", "none"),
-    )
-    elevation_limit_deg: float = param(
-        90.0,
-        "largest valid elevation; simulated elevations not folded at the poles need 180",
-        unit="deg",
-        above=0,
-        most=180,
-    )
-    negative_sigma: str = param(
-        "error",
-        "treatment of a negative deviation: an error; absent, the angle was not measured (no line "
-        "of sight); absolute, its absolute value is used",
-        choices=log.SIGMAS,
-    )
-    rssi_absent: Sequence[float] = param(
-        (127, -128),
-        "signal strengths that mean not available, as devices write them; some write 0",
-        unit="dBm",
-    )
-    frame: str = param(
-        "own",
-        "axes of the angles: own, those of the device that measured (mobile: x ahead); or global",
-        choices=("own", "global"),
-    )
-    measured_by: str = param(
-        "anchor",
-        "device that measured: anchor, the mobile's direction; or mobile, the anchors' directions",
-        choices=("anchor", "mobile"),
-    )
-    heading_deg: float | None = param(
-        None,
-        "direction of the mobile's +x, counter-clockwise from the global +x, if the mobile "
-        "measured in its own frame; null: from the column of headings",
-        unit="deg",
-        least=-360,
-        most=360,
-    )
-    height_m: float | None = param(
-        None,
-        "known height of the target, for methods in the plane; null: the true z if constant",
-        unit="m",
-    )
-    bounds_m: Sequence[Sequence[float]] | None = param(
-        None,
-        "lower and upper corner [x, y] of the target's area; null: no bounds",
-        unit="m",
-        shape=(2, 2),
-    )
-    least_heard: float = least_heard_param()
     dt = 1.0
-    motion = None
+    start_s = None
     shares_positions = True
     replications = 1
 
@@ -165,14 +76,16 @@ class Recorded(Scenario):
                     "bounds_m", self.bounds_m, "the lower corner, then the upper corner, or null"
                 )
         with loaded.reading() as files:  # now, so that mistakes are reported at construction
-            truth = self._log.truth
+            found = self._read.tracks
         object.__setattr__(self, "_files", files())
-        z = truth[np.isfinite(truth[:, 2]), 2]
-        if self.height_m is None and len(z) and np.ptp(z) < 1e-3:
-            object.__setattr__(self, "height_m", float(np.median(z)))
+        object.__setattr__(self, "dt", 1.0 if self.step_s is None else float(self.step_s))
+        object.__setattr__(self, "replications", len(found.counts))
+        object.__setattr__(self, "shares_positions", len(found.counts) == 1)
+        truth = found.truth
         known = truth[np.isfinite(truth[:, 0])]
         if len(known):
-            target = Thing("true positions", "path", self.path, known)
+            source = ("path", self.path) if self.truth_file is None else ("truth", self.truth_file)
+            target = Thing("true positions", *source, known)
             position = self._anchors.anchors.position[0, 0]
             check_anchors(Thing("anchors", "anchors", self.anchors, position), target)
 
@@ -182,36 +95,34 @@ class Recorded(Scenario):
         return self._files
 
     @property
-    def names(self) -> dict[str, str]:
-        """The columns' default names; angles and times carry the declared unit."""
-        a, e = self.azimuth_unit, self.elevation_unit
-        found = {name: f"{name}_m" for name in "xyz"} | {"anchor": "anchor", "fix": "fix"}
-        found |= {"azimuth": f"azimuth_{a}", "azimuth_sigma": f"azimuth_sigma_{a}"}
-        found |= {"elevation": f"elevation_{e}", "elevation_sigma": f"elevation_sigma_{e}"}
-        return found | {
-            "time": f"time_{self.time_unit}",
-            "rssi": "rssi_dbm",
-            "heading": "heading_deg",
-        }
-
-    @property
     def recorded(self) -> Measurements:
-        """The recorded measurements (T, B), in aoabench's conventions."""
-        return self._log.measured
+        """The measurements (F, C) of all tracks, in aoabench's conventions."""
+        return self.tracks.measured
 
     @property
     def tracks(self) -> Tracks:
-        """The recorded tracks."""
-        return Tracks.single(self._log.truth, self._log.measured)
+        """The recorded tracks, one after the other."""
+        return self._read.tracks
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines about the files, to print."""
-        return self._log.notes
+        return self._read.notes
+
+    @property
+    def marks(self) -> np.ndarray:
+        """The number (F,) of each fix's true position among the different ones, to 1 mm, from 0;
+        -1 where it is unknown.
+        """
+        truth = np.round(self.tracks.truth[:, :2], 3)
+        known = np.isfinite(truth[:, 0])
+        found = np.full(len(truth), -1)
+        found[known] = np.unique(truth[known], axis=0, return_inverse=True)[1].ravel()
+        return found
 
     @property
     def known_height_m(self) -> float | None:
-        """`height_m`, or the height in m if all true positions have the same one, else None."""
+        """`height_m`; the truth is never a source, so that it moves no position."""
         return self.height_m
 
     @cached_property
@@ -223,10 +134,17 @@ class Recorded(Scenario):
         return anchors if own else Anchors(anchors.position, upright)
 
     def offers(self) -> frozenset[str]:
-        """The offers of all scenarios, less several anchors if no fix has measurements by two."""
-        heard = np.isfinite(self.recorded.azimuth).sum(axis=1)
-        lone = heard.max(initial=0) < 2
-        return super().offers() - (frozenset({"several_anchors"} if lone else ()))
+        """The offers of all scenarios, less several anchors if no fix has measurements by two, and
+        less motion if the times between fixes are unknown.
+        """
+        found = self.tracks
+        first = np.unique(found.columns, return_index=True)[1]
+        heard = np.logical_or.reduceat(np.isfinite(found.measured.azimuth), first, axis=1)
+        lone = heard.sum(axis=1).max(initial=0) < 2
+        unknown = np.isnan(found.time)
+        timeless = unknown.any() and (self.step_s is None or not unknown.all())
+        less = ({"several_anchors"} if lone else set()) | ({"motion"} if timeless else set())
+        return super().offers() - less
 
     def unheard(self) -> BadValue:
         """The error for a log without any measurement."""
@@ -234,8 +152,8 @@ class Recorded(Scenario):
         return BadValue("path", self.path, f"a file with at least one azimuth or elevation{empty}")
 
     def truth(self, rng: np.random.Generator) -> Array:
-        """Positions (T, 3) m, NaN where unknown."""
-        return self._log.truth
+        """Positions (F, 3) m at the fixes of all tracks, NaN where unknown."""
+        return self.tracks.truth
 
     @cached_property
     def _anchors(self) -> AnchorsFile:
@@ -250,50 +168,96 @@ class Recorded(Scenario):
         if self.anchor_ids is not None:
             allowed = "null, unless scenario.anchors is a layout: a file may have the column id"
             raise BadValue("anchor_ids", self.anchor_ids, allowed)
-        return read_anchors("anchors", self.anchors)
+        return read_anchors("anchors", self.anchors, Origin.given(self.origin_deg))
 
     @cached_property
-    def _log(self) -> log.Log:
-        ids = self._anchors.ids
-        table = Table.read("path", self.path, self._chosen())
-        strict = self.unknown_anchors == "error"
+    def _read(self) -> Read:
+        with_log = self._anchors
+        packets, notes = self._packets(with_log)
+        groups = grouped(packets, self.window_s, self.windows)
+        if "tag" not in packets.table.names:
+            notes += identity.check_identity(packets, groups)
+        found = combined(packets, groups, len(with_log.ids), self.combine)
+        if self.gap_s is not None and np.isnan(found.time).any():
+            raise BadValue("gap_s", self.gap_s, "null, for a log without the time of every fix")
+        track = tracks(groups, found.time, self.gap_s)
+        _, first, counts = np.unique(track, return_index=True, return_counts=True)
+        made = Tracks(
+            tags=tuple(packets.tags[i] for i in groups.tag[first]),
+            counts=counts,
+            time=found.time,
+            fix=groups.name,
+            truth=self._at_height(found.truth),
+            measured=found.measured,
+            packets=found.packets,
+            columns=found.columns,
+        )
+        about = [self._counted(packets, made), *groups.notes, *found.notes]
+        return Read(made, (*about, *notes, *with_log.notes))
+
+    def _packets(self, anchors: AnchorsFile) -> tuple[Packets, list[str]]:
+        """The packets of the chosen tags with their true positions, and remarks to print."""
+        content = opened("path", self.path, self.reading)
+        declared = self.declared(dict(content.stated))
+        given = Given(
+            conventions=log.Conventions(**{n: declared[n] for n in log.Conventions._fields}),
+            time_unit=declared["time_unit"],
+            rssi_absent=self.rssi_absent,
+            range_sigma_m=self.range_sigma_m,
+            unknown_anchors=self.unknown_anchors,
+            clock_offset=anchors.clock_offset_s,
+        )
+        table = Table.of(content, "path", self.path, self._chosen(content, given))
         try:
-            table, anchor, notes = log.known_anchors(table, ids, strict)
+            packets, notes = read_packets(table, anchors.ids, given)
         except BadValue as error:
             why = f"; {self.anchors} has no column id, so that its anchors are called 1, 2, ..."
-            more = why * self._anchors.numbered
+            more = why * anchors.numbered
             raise BadValue(error.key, error.value, error.allowed + more) from None
-        fix, T = log.fixes(table, self.time_unit, self.window_s)
-        values = log.angles(table, self._conventions)
-        rssi, lines = log.strengths(table, self.rssi_absent)
-        values |= {} if rssi is None else {"rssi": rssi}
-        truth = log.truth(table, fix, T)
-        if self.height_m is not None:
-            truth[:, 2] = np.where(
-                np.isnan(truth[:, 2]) & ~np.isnan(truth[:, 0]), self.height_m, truth[:, 2]
-            )
-        keep = table.distinct(
-            fix * len(ids) + anchor, values, self.duplicates, "scenario.duplicates=first or last"
-        )
-        arrays = {name: np.full((T, len(ids)), np.nan) for name in values}
-        for name, value in values.items():
-            arrays[name][fix[keep], anchor[keep]] = value[keep]
-        heard, known = len(np.unique(anchor)), int(np.isfinite(truth[:, 0]).sum())
-        found = f"{T} fixes, {known} with ground truth; {len(keep)} rows of {heard} anchors"
-        notes.append(f"{self.path}: {found}")
-        if lost := len(fix) - len(keep):
-            notes.append(f"{self.path}: {lost} rows left out: further rows of an anchor in a fix")
-        notes += [*lines, *self._anchors.notes, *log.doubts(table, self.azimuth_unit)]
-        return log.Log(truth, Measurements(**arrays), tuple(notes))
+        if self.tags is not None:
+            packets = packets.of_tags([str(tag) for tag in self.tags])
+        if self.truth_file is not None:
+            source = read_truth("truth", self.truth_file, given.time_unit, anchors)
+            found, lines = source.at(packets, self.truth_gap_s, self.truth_offset_s)
+            packets, notes = replace(packets, truth=found), [*notes, *lines]
+        elif np.isfinite(packets.truth).any():
+            anchors.check_local("the log's true positions are local")
+        return packets, [*table.notes, *notes]
 
-    def _chosen(self) -> dict[str, str]:
+    def _at_height(self, truth: Array) -> Array:
+        """True positions (F, 3) m with the known height where z is unknown."""
+        if self.height_m is not None:
+            flat = np.isnan(truth[:, 2]) & ~np.isnan(truth[:, 0])
+            truth[:, 2] = np.where(flat, self.height_m, truth[:, 2])
+        return truth
+
+    def _counted(self, packets: Packets, made: Tracks) -> str:
+        """A line with the numbers of fixes, tracks, rows and anchors."""
+        known, heard = int(np.isfinite(made.truth[:, 0]).sum()), len(np.unique(packets.anchor))
+        tags = "" if packets.tags == ("",) else f" of {_number(len(packets.tags), 'tag')}"
+        tracks = f" in {_number(len(made.counts), 'track')}{tags}"
+        several = tracks if tags or len(made.counts) > 1 else ""
+        found = f"{len(made.fix)} fixes{several}, {known} with ground truth"
+        return f"{packets.table.path}: {found}; {packets.count} rows of {heard} anchors"
+
+    def _chosen(self, content: Content, given: Given) -> dict[str, str]:
         """Map from aoabench's column names to the file's, for the columns to read."""
-        heading = {"heading"} if self._conventions.needs_heading else set()
+        conventions = given.conventions
+        heading = {"heading"} if conventions.needs_heading else set()
         unused = {"heading"} - heading
         unused |= {"elevation", "elevation_sigma"} if self.elevation_kind == "none" else set()
         named = {name: one for name, one in asdict(self.columns).items() if name not in unused}
-        return log.chosen_columns(self.path, named, self.names, {"azimuth", "anchor"} | heading)
+        names = default_names(conventions, given.time_unit)
+        present, required = list(content.columns), {"azimuth", "anchor"} | heading
+        chosen = chosen_columns(self.path, present, named, names, required)
+        own = [chosen[axis] for axis in "xyz" if axis in chosen]
+        if self.truth_file is not None and own:
+            allowed = f"null, for a log with true positions of its own; it has {listed(own)}"
+            raise BadValue("truth", self.truth_file, allowed)
+        lone = "tag" not in chosen
+        return chosen | (identity.suspects(present, list(chosen.values())) if lone else {})
 
-    @property
-    def _conventions(self) -> log.Conventions:
-        return log.Conventions(**{name: getattr(self, name) for name in log.Conventions._fields})
+
+def _number(n: int, word: str) -> str:
+    """'1 tag' or '2 tags'."""
+    return f"{n} {word}" + "s" * (n != 1)

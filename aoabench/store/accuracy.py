@@ -19,7 +19,8 @@ class Errors:
 
     place (T,): the number of each fix's position, where all replications share their positions.
     counts (R,): the numbers of the replications' fixes if they differ; then the other arrays are
-    (F,), one replication after the other.
+    (F,), one replication after the other. tried (R, T): whether a replication has the fix; None:
+    it has all.
     """
 
     xy: Array
@@ -27,6 +28,7 @@ class Errors:
     ok: np.ndarray
     place: np.ndarray | None = None
     counts: np.ndarray | None = None
+    tried: np.ndarray | None = None
 
 
 def accuracy(errors: Errors | None, n_ok: ArrayLike, n_fixes: ArrayLike) -> dict[str, float]:
@@ -39,7 +41,8 @@ def accuracy(errors: Errors | None, n_ok: ArrayLike, n_fixes: ArrayLike) -> dict
         ok, all_ = (np.asarray(n, dtype=float)[:, None] for n in (n_ok, n_fixes))
         return _share("availability", ok, all_, None)
     place, counts = errors.place, errors.counts
-    all_ = intervals.by_replication(np.ones(errors.ok.shape, dtype=bool), counts)
+    tried = np.ones(errors.ok.shape, dtype=bool) if errors.tried is None else errors.tried
+    all_ = intervals.by_replication(tried, counts)
     hits = {"availability": errors.ok}
     hits |= {f"p_within_{limit}m": errors.xy <= limit for limit in WITHIN_M}
     found: dict[str, float] = {}

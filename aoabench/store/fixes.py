@@ -25,11 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fixes:
-    """Every fix of one estimator in one cell whose replications share their true positions; arrays
-    (R, T), or None if a part was stored without them.
+    """Every fix of one estimator in one cell whose replications share their true positions, or are
+    tracks of a recording; arrays (R, T), or None if a part was stored without them. In a recording
+    T counts the fixes of all tracks.
 
     error_3d_m, error_xy_m in m (NaN: no position), iterations, score and anchors_used of
-    types.Estimates (NaN: not reported), outcome of types.Outcome, place: the number of the true
+    types.Estimates (NaN: not reported), outcome of types.Outcome, -1 for a fix of another track,
+    place: the number of the true
     position, which several fixes may share; reason of types.Reason; imprecise (see
     engine.inputs.Inputs) and n_unmeasured (no anchor has an angle or a delay), 0 or 1; sigma_x_m,
     sigma_y_m, sigma_z_m: reported standard deviations in m (NaN: not reported).
@@ -59,7 +61,7 @@ class Fixes:
     def accepted(self) -> np.ndarray:
         """Whether a fix has a position with a known error (R, T)."""
         usable = (self.outcome != Outcome.FAILED) & (self.outcome != Outcome.REJECTED)
-        return np.asarray(usable & np.isfinite(self.error_xy_m))
+        return np.asarray(usable & (self.outcome >= 0) & np.isfinite(self.error_xy_m))
 
 
 _FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", "outcome", "place")
@@ -181,18 +183,18 @@ def facts_of(
     once; None for both if they were stored without fixes.
     """
     total: Clusters | None = None
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    found: list[tuple[np.ndarray, ...]] = []
     places: np.ndarray | None = None
     for one, places in each_part(out, entry, parts):
         some = position_sums(*_errors(one), one.accepted, places)
         total = some if total is None else total + some
         z = np.sqrt(np.maximum(one.error_3d_m**2 - one.error_xy_m**2, 0))
         known = (np.where(one.accepted, e, np.nan) for e in (one.error_xy_m, z))
-        found.append((*known, one.outcome == Outcome.OK))
+        found.append((*known, one.outcome == Outcome.OK, one.outcome >= 0))
     if total is None:
         return None, None
-    xy, z, ok = (np.concatenate(arrays) for arrays in zip(*found))
-    return total, Errors(xy, z, ok, places)
+    xy, z, ok, tried = (np.concatenate(arrays) for arrays in zip(*found))
+    return total, Errors(xy, z, ok, places, tried=tried)
 
 
 def influences_of(

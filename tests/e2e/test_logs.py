@@ -140,7 +140,8 @@ def test_a_wrong_sense_shows_in_the_residuals(located):
 
 
 def test_a_wrong_facing_shows_at_its_anchor(located):
-    frame, said = located("yaw_off_by_90", "log.csv")
+    """The loss `student` keeps some of the pull of an anchor that is 90 deg off, `truncated` none."""
+    frame, said = located("yaw_off_by_90", "log.csv", "estimator.robust_ml.loss=truncated")
     (line,) = (one for one in said.splitlines() if "A2" in one and "residual" in one.lower())
     assert any(f"{turn}" in line for turn in (88, 89, 90, 91)), line
     np.testing.assert_allclose(np.linalg.norm(xyz(frame) - P, axis=1), 0, atol=0.2)

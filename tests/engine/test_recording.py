@@ -18,10 +18,14 @@ from aoabench.errors import BadValue
 from aoabench.estimators.anchors import RssiAnchor, SingleAnchor
 from aoabench.estimators.lines import LineLeastSquares
 from aoabench.estimators.robust import RobustLikelihood
+from aoabench.filters.kalman import EKF, UKF
+from aoabench.filters.particle import ParticleFilter
+from aoabench.models.motion import ConstantVelocity, RandomWalk
+from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.recorded import Recorded as RecordedNoise
-from aoabench.roles import Estimator, Scenario
-from aoabench.store import tables
-from aoabench.types import Anchors, Estimates, Measurements, Outcome, Reason, Tracks
+from aoabench.roles import Estimator, Motion, Scenario
+from aoabench.store import fixes, tables
+from aoabench.types import Anchors, Estimates, Measurements, Tracks
 
 POSITION = np.array([[0, 3, 2.3], [6, 0, 2.3], [12, 3, 2.3], [6, 6, 2.3]], dtype=float)
 ANCHORS = Anchors(POSITION, np.broadcast_to(np.eye(3), (4, 3, 3)))
@@ -33,15 +37,13 @@ class Site(Scenario):
 
     own: Tracks
     anchors: Anchors = ANCHORS
+    motion: Motion | None = None
     name = "site"
+    start_s = None
 
     @property
     def tracks(self):
         return self.own
-
-    @property
-    def recorded(self):
-        return self.own.measured
 
     @property
     def true_anchors(self):
@@ -72,14 +74,14 @@ def seen(truth, rng, noise=0.05):
     return azimuth, np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1])) + off[1]
 
 
-def track(tag, count, start=0.0):
-    """A walk of one tag; its data depend on the tag alone."""
+def track(tag, count, start=0.0, dt=0.25):
+    """A walk of one tag with a fix every dt s; its data depend on the tag alone."""
     rng = np.random.default_rng(sum(map(ord, tag)))
     s = np.linspace(0, 1, count)
     truth = np.stack([2 + 8 * s, 1.5 + 2 * s, np.full(count, 1.1)], axis=-1)
     measured = Measurements(*seen(truth, rng))
     fix = np.array([f"{tag}-{i}" for i in range(count)], dtype=object)
-    time, heard = start + 0.1 * np.arange(count), np.full(count, 4)
+    time, heard = start + dt * np.arange(count), np.full(count, 4)
     return Tracks((tag,), np.array([count]), time, fix, truth, measured, heard, np.arange(4))
 
 
@@ -326,19 +328,79 @@ def test_methods_that_cannot_run_are_left_out_with_their_reason():
         those_that_fit(some, site, RecordedNoise(), choices)
 
 
-def test_a_plain_recording_is_one_track():
-    class Old(Site):
-        tracks = Scenario.tracks
+def test_a_lost_packet_is_not_the_outcome_of_a_track():
+    """The commonest outcome; of two that are equally common, the worse."""
+    m = {n: a.copy() for n, a in EACH[1].measured.arrays.items()}
+    for lost, expected in ((1, "ok"), (5, "ok"), (6, "failed"), (7, "failed")):
+        for array in m.values():
+            array[:lost] = np.nan
+        rows = block(replace(EACH[1], measured=Measurements(**m)))["lines"]["rows"]
+        assert rows["outcome"].tolist() == [expected]
+        assert rows["n_failed"].tolist() == [lost]
 
-        def truth(self, rng):
-            return self.own.truth
 
-    found = Old(EACH[0]).tracks
-    assert found.counts.tolist() == [7]
-    assert found.tags == ("",)
-    steps = run_block(Old(EACH[0]), RecordedNoise(), {"l": LineLeastSquares()}, 1, 0, 1, True)["l"][
-        "steps"
-    ]
-    np.testing.assert_array_equal(steps["x_m"], block(EACH[0])["lines"]["steps"]["x_m"])
-    assert Outcome.FAILED not in steps["outcome"]
-    assert Reason.NONE == 0
+def test_errors_are_clustered_by_true_position_over_all_tracks(tmp_path):
+    """Tracks that stand at marks share them; the fixes of each are stored at the places of all."""
+    marks = np.array([[3, 2, 1.1], [9, 4, 1.1], [5, 3, 1.1]])
+    each = []
+    for tag, stops in (("a", [0, 1, 2]), ("b", [2, 0])):
+        one = track(tag, 4 * len(stops))
+        truth = np.repeat(marks[stops], 4, axis=0)
+        m = Measurements(*seen(truth, np.random.default_rng(len(stops))))
+        each.append(replace(one, truth=truth, measured=m))
+    runner.run(
+        [one := cell(overlaid(*each), tmp_path, {"lines": METHODS["lines"]})], progress=False
+    )
+    found = fixes.fixes(tmp_path, one.id, "lines")
+    assert found.place.tolist() == [[*[0] * 4, *[1] * 4, *[2] * 4, *[2] * 4, *[0] * 4]] * 2
+    assert (found.outcome >= 0).tolist() == [[True] * 12 + [False] * 8, [False] * 12 + [True] * 8]
+    steps = pd.read_parquet(tmp_path / "steps.parquet")
+    np.testing.assert_allclose(found.error_xy_m[found.outcome >= 0], steps["error_xy_m"], rtol=1e-6)
+    clusters = fixes.clusters(tmp_path, one.id, "lines")
+    assert clusters.fixes.tolist() == [8, 4, 8]
+    place = np.array([0] * 4 + [1] * 4 + [2] * 8 + [0] * 4)
+    sums = np.bincount(place, steps["error_xy_m"] ** 2)
+    np.testing.assert_allclose(clusters.totals[1], sums, rtol=1e-6)
+    (row,) = tables.shown(tmp_path, "summary")["summary"].to_dict("records")
+    assert row["se_by"] == "position"
+    hits = (steps["error_xy_m"] <= 1).sum() / 20
+    assert row["p_within_1m"] == pytest.approx(hits)
+    assert row["availability"] == 1.0
+
+
+MODEL = UnitVector(kappa=1 / 0.05**2)
+FILTERS = {"ekf": EKF(MODEL), "ukf": UKF(MODEL), "pf": ParticleFilter(MODEL, particles=200)}
+
+
+@pytest.mark.parametrize("motion", [RandomWalk(q_xy=1.0), ConstantVelocity()])
+def test_filtered_tags_are_the_single_ones_bit_for_bit_and_nearer_than_their_fixes(motion):
+    """Filters start from each track's own first fix; times differ between the tracks."""
+    each = [track("T1", 60), track("T22", 35, 3.0), track("T333", 1)]
+    both = block(overlaid(*each), FILTERS, motion=motion)
+    for place, one in enumerate(each):
+        alone = block(one, FILTERS, motion=motion)
+        for name in FILTERS:
+            steps = both[name]["steps"]
+            found = {k: v[steps["replication"] == place] for k, v in steps.items()}
+            expected = without(alone[name]["steps"], "replication")
+            assert without(found, "replication") == expected
+    fixes = block(overlaid(*each))["robust"]["rows"]["rmse_xy_m"]
+    for name in FILTERS:
+        assert (both[name]["rows"]["rmse_xy_m"][:2] < fixes[:2]).all()
+
+
+def test_a_filter_sees_the_time_between_fixes():
+    """A tag that walked 3 m during a pause of 20 s: the filter follows at once."""
+    one = track("T1", 40)
+    some = np.r_[0:15, 28:40]
+    arrays = {n: a[some] for n, a in one.measured.arrays.items()}
+    flat = {n: getattr(one, n)[some] for n in ("fix", "truth", "packets")}
+    steady = 0.25 * np.arange(27)
+    errors = []
+    for time in (np.where(steady > 3.6, steady + 20, steady), steady):
+        tracks = replace(
+            one, counts=np.array([27]), time=time, measured=Measurements(**arrays), **flat
+        )
+        steps = block(tracks, {"ekf": EKF(MODEL)}, motion=RandomWalk(q_xy=0.2))["ekf"]["steps"]
+        errors.append(steps["error_xy_m"][15])
+    assert errors[0] < 0.7 < 1.5 < errors[1]

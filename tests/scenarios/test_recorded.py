@@ -75,7 +75,7 @@ def test_a_long_table_becomes_fixes_by_anchors(here):
     assert m.azimuth_sigma is None
     assert m.elevation_sigma is None
     np.testing.assert_allclose(s.truth(None), [[3, 3, 1], [3, 2, 1]])
-    assert s.height_m == 1.0
+    assert s.height_m is None  # the truth moves no position
     assert [file.path.name for file in s.files] == ["anchors.csv", "log.csv"]
     assert s.notes == ("log.csv: 2 fixes, 2 with ground truth; 4 rows of 3 anchors",)
 
@@ -293,7 +293,8 @@ def test_the_strongest_anchor_is_one_that_has_a_strength(here):
 
     Path("log.csv").write_text(RSSI.format(-60, 127) + "2,a1,45,-10,127,3,3,1\n")
     words = ["scenario=recorded", "scenario.path=log.csv", "scenario.anchors=anchors.csv"]
-    cell = compose_cells([*words, "estimator=[rssi_anchor,single_anchor_1]"])[0]
+    words += ["scenario.height_m=1", "estimator=[rssi_anchor,single_anchor_1]"]
+    cell = compose_cells(words)[0]
     draws = Draws(cell.scenario, cell.noise, 1)
     best, first = (estimate_tile(draws, e, 0)[1] for e in cell.estimators.values())
     np.testing.assert_array_equal(best.position[0, 0], first.position[0, 0])
@@ -352,8 +353,7 @@ MISTAKES = {
     "infinite": (HEAD + "1,a1,inf,1,1,1\n", {}, ["line 2 has azimuth_deg=inf"]),
     "decimal commas": (HEAD + "1,a1,1,1,1,1\n1,a2,12,5,1,1,1\n", {}, ["6 cells", "line 3 has more"]),
     "decimal commas first": (HEAD + "1,a1,12,5,1,1,1\n1,a2,1,1,1,1\n", {}, ["6 cells"]),
-    "conflicting duplicates": (HEAD + "1,a1,1,1,1,1\n1,a2,7,1,1,1\n1,a1,2,1,1,1\n", {}, ["line 2", "line 4", "azimuth_deg=1", "azimuth_deg=2", "anchor='a1'", "scenario.duplicates=first or last"]),
-    "truth differs": (HEAD + "1,a1,1,1,1,1\n1,a2,2,1,1,1.01\n", {}, ["line 2 has y_m=1", "line 3 has y_m=1.01", "one y_m"]),
+    "conflicting duplicates": (HEAD + "1,a1,1,1,1,1\n1,a2,7,1,1,1\n1,a1,2,1,1,1\n", {}, ["line 2", "line 4", "azimuth_deg=1", "azimuth_deg=2", "anchor='a1'", "scenario.combine=median, mean or each"]),
     "header alone": (HEAD, {}, ["scenario.path='log.csv'", "at least one row"]),
     "empty": ("", {}, ["scenario.path='log.csv'", "empty"]),
     "open quote": (HEAD + '1,a1,1,1,1,"1\n', {}, ["scenario.path='log.csv'", "readable"]),
@@ -439,17 +439,19 @@ def test_a_misspelt_anchor_is_guessed(here):
 def test_duplicates(here):
     same = HEAD + "1,a1,1,,1,1\n1,a1,1,,1,1\n1,a2,3,,1,1\n"
     s = read(same)
-    assert s.notes[-1] == "log.csv: 1 rows left out: further rows of an anchor in a fix"
+    assert s.notes[-1] == (
+        "log.csv: 1 of 3 rows not used: further rows of an anchor in a fix (scenario.combine)"
+    )
     differ = same.replace("1,a1,1,,1,1\n1,a2", "1,a1,2,,1,1\n1,a2")
     for which, value in (("first", 1), ("last", 2)):
-        s = read(differ, duplicates=which)
+        s = read(differ, combine=which)
         np.testing.assert_allclose(np.rad2deg(s.recorded.azimuth), [[value, 3, math.nan]])
 
 
 def test_unknown_anchors_may_be_ignored(here):
     s = read(LOG + "2,a9,1,1,1,3,2,1\n", unknown_anchors="ignore")
     assert s.recorded.azimuth.shape == (2, 3)
-    assert s.notes[0] == "log.csv: 1 rows of unknown anchors left out"
+    assert s.notes[1] == "log.csv: 1 rows of unknown anchors left out"
 
 
 def test_rad_declared_as_deg_is_doubted(here):
@@ -497,8 +499,11 @@ def run(capsys, *overrides):
     return stop.value.code, *capsys.readouterr()
 
 
+WORDS = "estimator=[ls_lines,anchor_mean]", "scenario.height_m=1"
+
+
 def test_a_run_is_one_replication_of_no_noise(here, capsys):
-    code, out, err = run(capsys, "estimator=[ls_lines,anchor_mean]")
+    code, out, err = run(capsys, *WORDS)
     assert code == 0, err
     assert "2 fixes" in err
     assert "reps" not in err
@@ -509,14 +514,12 @@ def test_a_run_is_one_replication_of_no_noise(here, capsys):
     for kind in ("cdf", "median_map"):
         assert f"out/figures/{cell}-{kind}.png" in out
         assert Path(f"out/figures/{cell}-{kind}.png").stat().st_size > 5000
-    code, out, err = run(capsys, "estimator=[ls_lines,anchor_mean]", "reps=50", "noise=ae_flip")
+    code, out, err = run(capsys, *WORDS, "reps=50", "noise=ae_flip")
     assert "0 replications x estimators computed, 2 reused" in out
     assert "reps=50 is taken as 1" in err
     assert "noise is not used" in err
     Path("log.csv").write_text(LOG.replace("1,a1,45", "1,a1,44"))
-    assert (
-        "2 replications x estimators computed" in run(capsys, "estimator=[ls_lines,anchor_mean]")[1]
-    )
+    assert "2 replications x estimators computed" in run(capsys, *WORDS)[1]
 
 
 def test_columns_on_the_command_line(here, capsys):
@@ -546,7 +549,7 @@ def test_without_ground_truth_positions_are_the_product(here, capsys):
     code, out, err = run(capsys, some, "scenario.height_m=1", "store.steps=true")
     assert code == 0, err
     assert " -  " in out, "no error without a truth"
-    assert not Path("out/figures").exists()
+    assert [file.name[12:] for file in Path("out/figures").iterdir()] == ["-positions.png"]
     frame = aoabench.load("out").set_index("estimator")
     assert frame[["rmse_3d_m", "rmse_xy_m", "rmse_z_m"]].isna().all(axis=None)
     # in the second fix, a3's azimuth meets a1's ray behind a3
@@ -570,7 +573,6 @@ def test_errors_are_those_of_fixes_whose_truth_is_known(here, capsys):
     assert row["rmse_xy_m"] == pytest.approx(errors[0], rel=1e-6)
     assert row["n_fixes"] == 2
     s = preset(path="log.csv", anchors="anchors.csv")
-    assert s.height_m == 1
     np.testing.assert_array_equal(s.truth(None), [[3, 3, 1], [math.nan] * 3])
 
 

@@ -198,8 +198,9 @@ def test_innovations_of_both_engines(name, B, sigma):
     batch.azimuth[5, 0, B - 1] = np.nan
     belief, (Y, quality) = believed(batch, scenario), method.measurement.observe(batch)
     root = np.tile(roots.prior_root(belief.covariance), (70, 1, 1))
-    L = roots.predicted(root, belief.F, belief.Q)
-    given = belief.mean @ belief.F.T, L, Y[:, 0], quality[:, 0], anchors
+    F, Q = belief.at(0)
+    L = roots.predicted(root, F, Q)
+    given = belief.mean @ F.T, L, Y[:, 0], quality[:, 0], anchors
     _, f, v, r = method.innovation(*given)
     own = method.measurement.covariance(given[0], anchors, quality[:, 0])  # with the noise in f
     for engine in ENGINES:
@@ -223,7 +224,8 @@ def test_innovations_at_access_nodes(name, printed):
     batch.delay[3, 0, 1] = batch.azimuth[3, 0, 2] = np.nan
     method = replace(NODES[name], as_printed=printed)
     belief, measured = believed(batch, scenario), method.measured(batch)
-    P = belief.F @ belief.covariance @ belief.F.T + belief.Q
+    F, Q = belief.at(0)
+    P = F @ belief.covariance @ F.T + Q
     h, H = expected(belief.mean, anchors)
     v = measured[0][:, 0] - h
     v[..., 1] = wrap(v[..., 1])

@@ -2,6 +2,8 @@
 poles.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -196,11 +198,22 @@ def test_fitted_deviations_printed_and_own():
     )
 
 
-@pytest.mark.parametrize("h", [AzEl(), UnitVector()], ids=lambda h: type(h).__name__)
-def test_measurements_without_stated_deviations_need_a_parameter(h, rng):
-    anchors = make_anchors(rng)
-    with pytest.raises(BadValue, match="do not state"):
-        h.observe(Batch(np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), anchors))
+@pytest.mark.parametrize("model", [AzEl, UnitVector])
+def test_measurements_without_stated_deviations_have_those_of_the_model(model, rng):
+    """As if the measurements stated them; a deviation of the azimuth alone leaves the other one."""
+    bare = Batch(np.zeros((1, 2, 4)), np.zeros((1, 2, 4)), make_anchors(rng))
+    given = replace(bare, azimuth_sigma=np.full((1, 2, 4), np.deg2rad(5.0)))
+    both = replace(given, elevation_sigma=np.full((1, 2, 4), np.deg2rad(9.0)))
+    own = model(unstated_deg=(5.0, 9.0)).observe(bare)
+    for found, expected in zip(own, model().observe(both)):
+        assert np.allclose(found, expected, rtol=1e-14, atol=0)
+    half = AzEl(unstated_deg=(1.0, 9.0)).observe(given)[1]
+    assert np.allclose(half, AzEl().observe(both)[1], rtol=1e-14, atol=0)
+    usual = AzEl().observe(bare)[1][0, 0, :2]
+    assert np.allclose(np.rad2deg(np.sqrt(usual)), [6, 12], rtol=1e-14, atol=0)
+    for wrong in ((0.0, 9.0), (5.0,), (5.0, 181.0)):
+        with pytest.raises(BadValue, match="unstated_deg"):
+            model(unstated_deg=wrong)
 
 
 @pytest.mark.parametrize("h", [AzEl(), UnitVector()], ids=lambda h: type(h).__name__)

@@ -1,0 +1,90 @@
+"""A log that arrives in pieces, as from a pipe: rows as soon as they are whole."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import replace
+
+from aoabench.devices.delimited import Delimited, following
+from aoabench.devices.foreign import reason_of
+from aoabench.devices.formats import DEVICES, looks_like, text_content
+from aoabench.devices.reading import AUTO, Content, Reading, Rows
+from aoabench.devices.sources import KINDS
+from aoabench.devices.wide import widened
+from aoabench.errors import BadValue
+
+_MESSAGE_END = re.compile(rb"\}[ \t\r]*\n")
+_LONGEST = 1 << 24  # bytes without an end of a line
+
+
+class Live:
+    """Contents of a log in pieces; the format is recognised from the first lines.
+
+    Tables are delimited texts or JSON lines. `key` and `path` are for messages, such as "path" and
+    "-".
+    """
+
+    def __init__(self, key: str, path: str, given: Reading = AUTO) -> None:
+        self._key, self._path, self._given = key, path, given
+        self._rest = b""
+        self._line = 1  # the number of the first line of the rest
+        self._format = "" if given.format == "auto" else given.format
+        self._first: Delimited | None = None
+
+    def feed(self, piece: bytes) -> Content | None:
+        """The rows that are whole with this piece, or None if no row is.
+
+        Raises BadValue for a text that is no log.
+        """
+        self._rest += piece
+        if len(self._rest) > _LONGEST and b"\n" not in self._rest:
+            raise BadValue(self._key, self._path, f"a {KINDS}; its lines do not end")
+        return self._content(self._cut())
+
+    def end(self) -> Content | None:
+        """The rows of a last line that has no end; to be called once, after the last piece."""
+        whole, self._rest = self._rest, b""
+        return self._content(whole + b"\n") if whole.strip() else None
+
+    def _cut(self) -> bytes:
+        """The whole rows at the beginning of what has arrived; taken out of the rest."""
+        if not self._format:
+            head = self._rest[: self._rest.rfind(b"\n") + 1]
+            looks = looks_like(head.decode(errors="replace"))
+            if looks == "table" and sum(bool(one.strip()) for one in head.splitlines()) < 2:
+                return b""  # a header alone shows neither separator nor decimal mark
+            self._format = looks
+        end = self._rest.rfind(b"\n") + 1
+        if self._format == "silabs":
+            end = max((one.end() for one in _MESSAGE_END.finditer(self._rest)), default=0)
+        whole, self._rest = self._rest[:end], self._rest[end:]
+        return whole
+
+    def _content(self, whole: bytes) -> Content | None:
+        if not whole.strip():
+            self._line += whole.count(b"\n")
+            return None
+        line, self._line = self._line, self._line + whole.count(b"\n")
+        try:
+            found = self._parsed(whole, line)
+        except BadValue:
+            raise
+        except (ValueError, csv.Error) as error:
+            raise BadValue(
+                self._key, self._path, f"a readable {KINDS}; {reason_of(error)}"
+            ) from None
+        return widened(found, self._given.patterns)
+
+    def _parsed(self, whole: bytes, line: int) -> Content:
+        if device := DEVICES.get(self._format):
+            return device(whole.decode(errors="replace"), self._path, line)
+        if self._first is not None:
+            return following(self._first, whole, line)
+        given = replace(self._given, format="auto")
+        found = text_content(whole, self._key, self._path, given)
+        if isinstance(found, Rows):
+            return replace(found, parts=(found.parts[0]._replace(first=line),))
+        if isinstance(found, Delimited):
+            self._first = found
+        return found
