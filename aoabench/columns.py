@@ -135,6 +135,7 @@ SUMMARY = {
     **_with("_low _high", *CEP, *ERROR_Z),
     **_with("_low _high", *(f"p_within_{limit}m" for limit in WITHIN_M), "availability"),
     "se_by": "string",
+    "causal": "bool",  # false for a smoother, whose fixes use later measurements too
 }
 
 

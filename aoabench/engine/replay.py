@@ -31,7 +31,8 @@ class Replay:
     anchor j (azimuth_<j>_rad, elevation_<j>_rad, delay_<j>_s, rssi_<j>_dbm); the columns of the
     estimator's own `trace`: innovation_<j>_<component>, ess.
     batch and truth (1, T, n) hold this replication alone. rmse_3d_m is computed now, stored_m is
-    stored in the run. error: the reason of a failure, or "". track: that of a recording.
+    stored in the run. error: the reason of a failure, or "". track: that of a recording. causal:
+    see `Estimator`.
     """
 
     run: Path
@@ -45,6 +46,7 @@ class Replay:
     rmse_3d_m: float
     stored_m: float
     error: str = ""
+    causal: bool = True
     track: Identity | None = None
 
     @property
@@ -75,8 +77,7 @@ def replay(
     method = as_estimator(construct(node, estimator, plugins), estimator)
     draws = Draws(scenario, noise, record["seed"])
     size = tile_of(method, scenario)
-    first = replication - replication % size
-    i = replication - first
+    first, i = replication - replication % size, replication % size
     truth, estimates, errors = try_tile(draws, method, first)
     _, batch = draws.tile(first, size)
     track = None if draws.tracks is None else Identity.of(draws.tracks, replication)
@@ -88,6 +89,7 @@ def replay(
         run=run,
         record=record,
         estimator=estimator,
+        causal=method.causal,
         replication=replication,
         scenario=scenario,
         columns=columns,
