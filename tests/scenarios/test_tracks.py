@@ -287,6 +287,12 @@ def test_two_identities_in_a_fix_are_refused(name):
     np.testing.assert_array_equal(s.tracks.counts, [1, 2])
 
 
+def test_two_identities_with_anchors_of_their_own_are_refused():
+    log = "sequence,mac,anchor,azimuth_deg\n0,p,a1,1\n0,p,a2,2\n0,q,a3,3\n"
+    with pytest.raises(BadValue, match=r"scenario\.columns\.tag=mac"):
+        read(log)
+
+
 def test_an_identity_of_several_fixes_is_noted():
     s = read(TWO.format("mac").replace("0,q", "2,q"))
     assert any(
@@ -372,7 +378,7 @@ def test_clocks_that_drift(rng):
 
 def test_known_offsets_of_clocks(rng):
     offsets = (7.0, 51.3, -2000.0)
-    log, _ = boots(rng, offsets)
+    log, heard = boots(rng, offsets)
     log = log.drop(columns="sequence")
     with pytest.raises(BadValue, match=r"columns\.sequence=None.*clock_offset_s"):
         read(log, window_s=0.05)
@@ -380,6 +386,7 @@ def test_known_offsets_of_clocks(rng):
     more = [f"{row},{offset}" for row, offset in zip(rows, ("clock_offset_s", *offsets))]
     Path("anchors.csv").write_text("\n".join(more))
     event = np.rad2deg(read(log, window_s=0.05).recorded.azimuth)
+    assert len(event) == heard
     assert np.nanmax(np.nanmax(event, axis=1) - np.nanmin(event, axis=1)) < 1e-9
 
 
