@@ -7,8 +7,11 @@ from collections.abc import Mapping, Sequence
 from aoabench.devices.columns import shown_columns
 from aoabench.devices.log import Conventions
 from aoabench.devices.moments import SECONDS
-from aoabench.devices.reading import FILE
-from aoabench.errors import BadValue, did_you_mean
+from aoabench.devices.reading import FILE, Content
+from aoabench.devices.wide import Wide
+from aoabench.errors import BadValue, did_you_mean, listed
+
+EXPECTED = ("heading_deg", "elevation_deg", "elevation_rad")  # left out where conventions say so
 
 
 def default_names(given: Conventions, time_unit: str) -> dict[str, list[str]]:
@@ -71,3 +74,12 @@ def _no_column(
             "or scenario.columns.sequence, the tags' own numbers of packets"
         )
     return BadValue(f"columns.{ours}", name, allowed)
+
+
+def unread(content: Content, chosen: Mapping[str, str], path: object) -> list[str]:
+    """A line with the columns of a table that are not read, else an empty list."""
+    known = {*chosen.values(), FILE, *EXPECTED}
+    left = [name for name in content.columns if name not in known]
+    if not left or content.stated or isinstance(content, Wide):
+        return []
+    return [f"{path}: columns that are not read: {listed(left)}"]

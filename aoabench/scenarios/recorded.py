@@ -21,7 +21,7 @@ from aoabench.devices.extent import Thing, check_anchors
 from aoabench.devices.formats import opened
 from aoabench.devices.geodesy import Origin
 from aoabench.devices.grouping import grouped, tracks
-from aoabench.devices.naming import chosen_columns, default_names
+from aoabench.devices.naming import chosen_columns, default_names, unread
 from aoabench.devices.packets import Given, Packets, read_packets
 from aoabench.devices.reading import Content
 from aoabench.devices.table import Table
@@ -220,7 +220,9 @@ class Recorded(LogParameters):
 
     def _packets(self, anchors: AnchorsFile) -> tuple[Packets, list[str]]:
         """The packets of the chosen tags with their true positions, and remarks to print."""
-        packets, notes = self.packets_of(opened("path", self.path, self.reading), self.path)
+        content = opened("path", self.path, self.reading)
+        packets, notes = self.packets_of(content, self.path)
+        notes += unread(content, packets.table.names, self.path)
         if not packets.count:
             raise packets.table.bad("a file with at least one row")
         if self.tags is not None:

@@ -287,6 +287,12 @@ def test_two_identities_in_a_fix_are_refused(name):
     np.testing.assert_array_equal(s.tracks.counts, [1, 2])
 
 
+def test_two_identities_with_anchors_of_their_own_are_refused():
+    log = "sequence,mac,anchor,azimuth_deg\n0,p,a1,1\n0,p,a2,2\n0,q,a3,3\n"
+    with pytest.raises(BadValue, match=r"scenario\.columns\.tag=mac"):
+        read(log)
+
+
 def test_an_identity_of_several_fixes_is_noted():
     s = read(TWO.format("mac").replace("0,q", "2,q"))
     assert any(
@@ -302,7 +308,7 @@ def test_an_identity_of_several_fixes_is_noted():
     "time_s,device,anchor,azimuth_deg\n0,p,a1,1\n0,q,a2,2\n1,p,a1,3\n1,q,a2,3\n",  # the anchor's
 ])  # fmt: skip
 def test_what_is_no_identity(log):
-    assert len(read(log).notes) == 1
+    assert not any("scenario.columns.tag" in line for line in read(log).notes)
 
 
 # --- sequence numbers and clocks ------------------------------------------------------------------
@@ -346,6 +352,18 @@ def test_clocks_from_boot_are_aligned_by_sequence_numbers(rng, offsets):
     same(first.tracks, read(log).tracks)
 
 
+def test_one_clock_stays_where_a_counter_overflows():
+    """More pairs of equal numbers are one overflow apart than at one time."""
+    rows = [(k / 10, k % 256, "a1", k / 10) for k in range(600)]
+    rows += [(k / 10 + 0.004, k % 256, "a2", k / 10) for k in range(300, 756)]
+    log = pd.DataFrame(rows, columns=["time_s", "sequence", "anchor", "azimuth_deg"])
+    s = read(log)
+    assert len(s.tracks.time) == 756
+    event = azimuths(s)[:, :2]
+    assert np.nanmax(np.abs(event[:, 0] - event[:, 1])) < 1e-9
+    assert len(s.notes) == 1
+
+
 def test_clocks_that_drift(rng):
     log, heard = boots(rng, (0, 3000.0, -70), (0, 4e-5, -5e-5), 30_000, 65536)
     log["anchor_time_s"] *= 10  # over 8 hours the clocks part by 2.7 s
@@ -360,7 +378,7 @@ def test_clocks_that_drift(rng):
 
 def test_known_offsets_of_clocks(rng):
     offsets = (7.0, 51.3, -2000.0)
-    log, _ = boots(rng, offsets)
+    log, heard = boots(rng, offsets)
     log = log.drop(columns="sequence")
     with pytest.raises(BadValue, match=r"columns\.sequence=None.*clock_offset_s"):
         read(log, window_s=0.05)
@@ -368,6 +386,7 @@ def test_known_offsets_of_clocks(rng):
     more = [f"{row},{offset}" for row, offset in zip(rows, ("clock_offset_s", *offsets))]
     Path("anchors.csv").write_text("\n".join(more))
     event = np.rad2deg(read(log, window_s=0.05).recorded.azimuth)
+    assert len(event) == heard
     assert np.nanmax(np.nanmax(event, axis=1) - np.nanmin(event, axis=1)) < 1e-9
 
 
@@ -501,6 +520,24 @@ def test_combinations_against_a_plain_loop(rng, combine):
             wanted = centre if combine == "mean" else centre + np.median(away)
             assert abs(np.angle(np.exp(1j * (s.recorded.azimuth[k, j] - wanted)))) < 1e-9
             assert s.recorded.rssi[k, j] == pytest.approx(getattr(rows["rssi_dbm"], combine)())
+
+
+def test_a_packet_alone_keeps_its_bits(rng):
+    log = walk(rng, "T", events=300)
+    first = read(log, combine="first").tracks
+    for combine in ("mean", "median", "each"):
+        same(first, read(log, combine=combine).tracks)
+
+
+def test_a_place_that_stays_keeps_its_bits():
+    rows = "".join(f"1,a{j},3,0.1,0.7\n" for j in (1, 2, 3))
+    s = read("fix,anchor,azimuth_deg,x_m,y_m\n" + rows)
+    assert tuple(s.truth(None)[0, :2]) == (0.1, 0.7)
+
+
+def test_columns_that_are_not_read_are_named():
+    log = "fix,anchor,azimuth_deg,elev,quality\n1,a1,3,4,5\n"
+    assert read(log).notes[-1] == "log.csv: columns that are not read: elev, quality"
 
 
 def test_each_packet_has_a_column():
