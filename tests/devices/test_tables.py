@@ -218,6 +218,13 @@ def test_json_that_is_no_table(text, words, here):
         header("path", "log.json")
 
 
+def test_lists_in_json_are_refused_where_they_are_read(here):
+    Path("log.jsonl").write_text('{"anchor": "a", "azimuth": 1, "iq": [1, 2]}\n')
+    assert read("log.jsonl", {"anchor": "anchor"}).texts("anchor")[1] == ["a"]
+    with pytest.raises(BadValue, match="'iq' has lists"):
+        read("log.jsonl", {"anchor": "iq"})
+
+
 def test_excel(rows, here):
     pytest.importorskip("openpyxl")
     with pd.ExcelWriter("log.xlsx") as book:
