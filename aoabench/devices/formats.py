@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 HEAD = 1 << 16  # bytes that show a format
 _LOOKS = {"ublox": "u-blox lines (+UUDF)", "silabs": "Silicon Labs angles", "table": "a table"}
 DEVICES = {"ublox": ublox, "silabs": silabs}
+_WHOLE = {
+    "ublox": '+UUDF:tag,rssi,azimuth,elevation,rssi,channel,"anchor","text",ms[,number]',
+    "silabs": 'silabs/aoa/angle/locator/tag {"azimuth": ...}, as `mosquitto_sub -v` prints it',
+}
 _TOPICS = (
     "these look like Silicon Labs angles without their topics, which name locator and tag: "
     "`mosquitto_sub -v` records both"
@@ -83,6 +87,9 @@ def text_content(text: bytes, key: str, path: str, given: Reading) -> Content:
         wanted = f"{_LOOKS[declared]}, as scenario.format={declared} declares"
         hint = f"these look like {_LOOKS[looks]}: scenario.format={looks}"
         raise BadValue(key, path, f"{wanted}; {hint}")
+    if found is not None and found.frame.empty:
+        more = "".join(f"; {note.removeprefix(f'{path}: ')}" for note in found.notes)
+        raise BadValue(key, path, f"a log with at least one whole line: {_WHOLE[declared]}{more}")
     if found is not None:
         return found
     if is_angles_alone(head):

@@ -26,7 +26,7 @@ def times(table: Table, column: str, unit: str, complete: bool) -> Array:
         far = np.abs(raw) * SECONDS[unit] > FAR_S
         table.check(column, far, f"times in {unit} in {name}{_other_unit(raw[far])}")
         return raw * SECONDS[unit]
-    moments = pd.to_datetime(cells, format="ISO8601", utc=True, errors="coerce")
+    moments = table.dates(column)
     wrong = moments.isna().to_numpy() & (complete | cells.notna().to_numpy())
     table.check(column, wrong, f"a time in {name} in every row, each in ISO 8601")
     since = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)

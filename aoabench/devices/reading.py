@@ -108,6 +108,10 @@ class Rows(Content):
     frame: pd.DataFrame = None  # type: ignore[assignment]
 
     def cells(self, names: Mapping[str, str]) -> pd.DataFrame:
+        """The chosen columns, NaN where a row has no such cell; raises ValueError for lists."""
         found = self.frame.reindex(columns=list(names.values()))
+        for name in found.columns[found.dtypes.map(str) == "object"].unique():
+            if found[[name]].iloc[:, 0].map(type).isin([list, dict]).any():
+                raise ValueError(f"{name!r} has lists, not single texts, numbers or times")
         found.columns = list(names)
         return found

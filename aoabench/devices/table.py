@@ -139,20 +139,17 @@ class Table:
             self.check(column, absent, f"a number in {name} in every row")
         return value
 
-    def times(self, column: str) -> Array:
-        """A column (N,) of numbers, or of dates and times as s since the first."""
+    def dates(self, column: str) -> pd.Series[pd.Timestamp]:
+        """A column (N,) of dates and times in ISO 8601, UTC where no zone is stated; NaT for others
+        and for empty cells.
+        """
         import pandas as pd
 
-        if self.is_number(column):
-            return self.numbers(column, empty=False)
         cells = self.frame[column]
-        moments = pd.to_datetime(cells, format="ISO8601", utc=True, errors="coerce")
-        self.check(
-            column,
-            moments.isna().to_numpy(),
-            f"a time in {self.names[column]} in every row, each in ISO 8601",
-        )
-        return np.asarray((moments - moments.min()) / pd.Timedelta(seconds=1), dtype=float)
+        known = cells.dropna()
+        if len(known) and isinstance(first := known.iloc[0], str) and "," in first:
+            cells = cells.astype(str).str.replace(",", ".")  # decimals, as ISO 8601 allows
+        return pd.to_datetime(cells, format="ISO8601", utc=True, errors="coerce")
 
     def texts(self, column: str) -> tuple[np.ndarray, list[str]]:
         """A column as indices (N,) into its distinct texts, in order of appearance; raises BadValue
@@ -185,47 +182,6 @@ class Table:
                 f"{wrong}{did_you_mean(unknown, known)}"
             )
         return index
-
-    def shared(self, column: str, group: np.ndarray, count: int, tolerance: float) -> Array:
-        """One number (count,) per group of rows (N,), NaN for a group without any; raises BadValue
-        if the numbers of a group differ by more than `tolerance`."""
-        value, found = self.numbers(column), np.full(count, np.nan)
-        known = np.flatnonzero(np.isfinite(value))
-        groups, first = np.unique(group[known], return_index=True)
-        found[groups] = value[known[first]]
-        off = np.flatnonzero(np.abs(value - found[group]) > tolerance)
-        if len(off):
-            other = known[group[known] == group[off[0]]][0]
-            one, two = self.at(int(other), column), self.at(int(off[0]), column)
-            raise self.bad(f"one {self.names[column]} for all rows of a fix; {one}, {two}")
-        return found
-
-    def distinct(
-        self, pair: np.ndarray, values: Mapping[str, Array], which: str, hint: str
-    ) -> np.ndarray:
-        """Indices of the rows to keep, increasing: for each number in `pair` (N,) one row, the last
-        if `which` is `last`, else the first.
-
-        If `which` is `error`, rows of one pair with different `values` (N,) raise BadValue.
-        """
-        _, first, inverse = np.unique(pair, return_index=True, return_inverse=True)
-        if len(first) == len(pair):
-            return np.arange(len(pair))
-        if which == "last":
-            return np.sort(len(pair) - 1 - np.unique(pair[::-1], return_index=True)[1])
-        if which == "error":
-            earlier = first[inverse]
-            for value in values.values():
-                differs = np.flatnonzero(
-                    (value != value[earlier]) & ~(np.isnan(value) & np.isnan(value[earlier]))
-                )
-                if len(differs):
-                    one, two = (
-                        self.at(int(row), "anchor", "azimuth")
-                        for row in (earlier[differs[0]], differs[0])
-                    )
-                    raise self.bad(f"one row per anchor in each fix, or {hint}; {one}, {two}")
-        return np.sort(first)
 
 
 def _is_float(value: Any) -> bool:

@@ -123,6 +123,15 @@ def test_other_topics_and_torn_payloads_are_counted(here):
 # --- what a file is, and is not -------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("text", "words"), [
+    ('{"topic": "silabs/aoa/angle/A/B", "payload": {"azimuth": 1}}\n', "mosquitto_sub -v.*1 angles without"),
+    (LINE[:-30], r"at least one whole line: \+UUDF:tag.*1 \+UUDF lines are cut"), (f"{TOPIC} {{}}\n", "mosquitto_sub -v"),
+])  # fmt: skip
+def test_a_log_without_any_whole_line(text, words, here):
+    with pytest.raises(BadValue, match=words):
+        read(text)
+
+
 @pytest.mark.parametrize(("text", "declared", "words"), [
     (LINE, "silabs", "look like u-blox lines.*scenario.format=ublox"), (LINE, "table", "look like u-blox lines.*scenario.format=ublox"),
     (f"{TOPIC} {json.dumps(PAYLOAD)}\n", "ublox", "look like Silicon Labs.*scenario.format=silabs"),

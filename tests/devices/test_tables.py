@@ -218,6 +218,13 @@ def test_json_that_is_no_table(text, words, here):
         header("path", "log.json")
 
 
+def test_lists_in_json_are_refused_where_they_are_read(here):
+    Path("log.jsonl").write_text('{"anchor": "a", "azimuth": 1, "iq": [1, 2]}\n')
+    assert read("log.jsonl", {"anchor": "anchor"}).texts("anchor")[1] == ["a"]
+    with pytest.raises(BadValue, match="'iq' has lists"):
+        read("log.jsonl", {"anchor": "iq"})
+
+
 def test_excel(rows, here):
     pytest.importorskip("openpyxl")
     with pd.ExcelWriter("log.xlsx") as book:
@@ -359,3 +366,14 @@ def test_memory_is_about_the_file(rng, here):
     pd.DataFrame({"fix": np.arange(1000), "azimuth_deg": rng.uniform(size=1000)}).to_csv(buffer)
     Path("log.csv").write_text(buffer.getvalue())
     assert len(read(names={"azimuth": "azimuth_deg"}).frame) == 1000
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+def test_dates_may_have_decimal_commas(mark, here):
+    Path("log.csv").write_text(
+        f"t;a\n2024-05-16 10:00:00{mark}125;1\n;2\n2024-05-16T12:00:01+02:00;3\n"
+    )
+    moments = read(names={"time": "t", "a": "a"}).dates("time")
+    expected = [1715853600.125, np.nan, 1715853601]
+    found = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=3e-7)
