@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from aoabench.maths.geometry import Array
+from aoabench.models.components import UNSTATED_DEG
 from aoabench.roles import Motion
 from aoabench.types import Batch
 
@@ -21,7 +22,6 @@ MOST_STEPS = 64  # measured steps that are put together until they determine a p
 DETERMINED = 0.25  # of the extent: deviation in the plane up to which a position is determined
 LEAST_EXTENT_M = 5.0
 ITERATIONS = 5  # of the ranges in the weights
-ASSUMED_DEG = (6.0, 12.0)  # deviations of azimuths and elevations that state none
 HEIGHT_SIGMA_M = 0.1  # of a height that is known
 
 
@@ -124,7 +124,7 @@ def planes_of(batch: Batch) -> tuple[Planes, np.ndarray]:
 def _deviations(batch: Batch, steps: np.ndarray) -> Array:
     """Deviations (K, B, 2) rad of azimuths and elevations, where stated as positive numbers."""
     found = np.empty((len(steps), batch.azimuth.shape[2], 2))
-    found[:] = np.deg2rad(ASSUMED_DEG)
+    found[:] = np.deg2rad(UNSTATED_DEG)
     for i, stated in enumerate((batch.azimuth_sigma, batch.elevation_sigma)):
         if stated is not None:
             given = stated[0, steps]

@@ -42,7 +42,7 @@ from aoabench.kernels.limits import ROUNDED
 from aoabench.kernels.loading import engine_param
 from aoabench.maths.geometry import LIGHT, Array, wrap
 from aoabench.maths.places import at_anchors
-from aoabench.models.components import LEAST_VARIANCE
+from aoabench.models.components import LEAST_VARIANCE, unstated_param, with_deviations
 from aoabench.params import param
 from aoabench.roles import NEEDS, Scenario
 from aoabench.streams import Streams
@@ -72,6 +72,7 @@ class AccessNodeEKF(KalmanFilter):
         choices=PRINTED,
     )
     _: KW_ONLY
+    unstated_deg: Sequence[float] = unstated_param()
     engine: str = engine_param()
     tile = 32
     by_replication = True
@@ -81,7 +82,7 @@ class AccessNodeEKF(KalmanFilter):
 
     @property
     def needs(self) -> frozenset[str]:
-        return frozenset({"motion", "prior", "stated_sigma"} | ({"delay"} if self.toa else set()))
+        return frozenset({"motion", "prior"} | ({"delay"} if self.toa else set()))
 
     def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
         """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2.
@@ -95,8 +96,7 @@ class AccessNodeEKF(KalmanFilter):
         belief = believed(batch, scenario)
         if self.toa and (batch.delay is None or batch.delay_sigma is None):
             raise Unfit(*NEEDS["delay"])
-        if batch.azimuth_sigma is None or batch.elevation_sigma is None:
-            raise Unfit(*NEEDS["stated_sigma"])
+        batch = with_deviations(batch, self.unstated_deg)
         size = belief.size if whole else 3
         return self.filtered(heard_alone(batch), belief, size), belief
 
@@ -117,7 +117,7 @@ class AccessNodeEKF(KalmanFilter):
         """
         belief, seen = believed(batch, scenario), list[Array]()
         belief = belief._replace(covariance=prior_root(belief.covariance))
-        batch = heard_alone(batch)
+        batch = heard_alone(with_deviations(batch, self.unstated_deg))
         y, q = self.measured(batch)
         self._recursion(belief, y, q, batch.anchors, seen)
         values, count = np.stack(seen, axis=1), batch.layout.count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,19 @@ def stated_deviations(batch: Batch, unstated_deg: Sequence[float]) -> tuple[Arra
     stated = batch.azimuth_sigma, batch.elevation_sigma
     azimuth, elevation = (own[i] * each if s is None else s for i, s in enumerate(stated))
     return azimuth, elevation
+
+
+def with_deviations(batch: Batch, unstated_deg: Sequence[float]) -> Batch:
+    """The batch with the deviations of `stated_deviations` (R, T, B); itself if it states them."""
+    if batch.azimuth_sigma is not None and batch.elevation_sigma is not None:
+        return batch
+    shape = batch.azimuth.shape
+    azimuth, elevation = stated_deviations(batch, unstated_deg)
+    return replace(
+        batch,
+        azimuth_sigma=np.broadcast_to(azimuth, shape),
+        elevation_sigma=np.broadcast_to(elevation, shape),
+    )
 
 
 def interleave(parts: Sequence[Array]) -> Array:

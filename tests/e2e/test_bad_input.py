@@ -271,7 +271,7 @@ NEEDS = {  # an estimator that needs something, a log that has it not, and words
     "an anchor": ("estimator=[single_anchor_2]", WHOLE.replace("1,b", "1,c"), ["estimator.single_anchor_2.anchor=2", "an anchor that measured: 1, 3"]),
     "delay": ("estimator=[wcg]", WHOLE, ["times of arrival", "estimator.wcg needs", FITS]),
     "motion": ("filter=[ekf_vmf]", WHOLE, ["scenario='recorded'", "motion model", "filter.ekf_vmf needs", FITS]),
-    "stated deviations": ("filter=[ekf_aoa]", WHOLE, ["filter.ekf_aoa needs", FITS]),
+    "motion at access nodes": ("filter=[ekf_aoa]", WHOLE, ["motion model", "filter.ekf_aoa needs", FITS]),
     "anything": ("estimator=[ls_lines]", "fix,anchor,azimuth_deg\n1,a,\n1,b,\n", ["scenario.path='l.csv'", "at least one azimuth or elevation"]),
 }  # fmt: skip
 

@@ -344,6 +344,18 @@ def test_the_filter_follows_the_walk_and_knows_how_well(anchors, rng):
     assert rmse[True] < rmse[False] < 1.0
 
 
+@pytest.mark.parametrize("engine", ["auto", "numpy"])
+def test_angles_without_stated_deviations_have_those_of_the_filter(engine, anchors, rng):
+    _, batch, scenario = track(rng, anchors, R=3, T=6)
+    method = an.AccessNodeEKF(toa=False, unstated_deg=(4.0, 9.0), engine=engine)
+    each = np.ones_like(batch.azimuth)
+    sigmas = {"azimuth_sigma": np.deg2rad(4) * each, "elevation_sigma": np.deg2rad(9) * each}
+    stated = method(replace(batch, **sigmas), scenario, None)
+    bare = method(replace(batch, **dict.fromkeys(sigmas)), scenario, None)
+    assert np.array_equal(bare.position, stated.position)
+    assert np.array_equal(bare.covariance, stated.covariance)
+
+
 def test_bad_input_is_named(anchors, rng):
     _, batch, scenario = track(rng, anchors)
     for bad in (
