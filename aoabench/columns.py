@@ -20,7 +20,7 @@ REPLICATIONS = {
     "rmse_3d_m": "double",
     "rmse_xy_m": "double",
     "rmse_z_m": "double",
-    "outcome": "string",
+    "outcome": "string",  # the worst of the fixes'; of a recorded track the commonest
     "n_fixes": "int64",
     "n_ok": "int64",
     "n_diverged": "int64",

@@ -16,7 +16,7 @@ import pandas as pd
 
 from aoabench.resources import output_folder
 from aoabench.store.files import write_frame
-from benchmarks import cost, filters, growth, harness, kernels, process, show, snapshots
+from benchmarks import cost, filters, growth, harness, kernels, process, recordings, show, snapshots
 from benchmarks.timing import Row
 
 Part = Callable[[int], Iterator[Row]]
@@ -36,6 +36,7 @@ PARTS: dict[str, Part] = {
         process.scaling,
         process.memory,
         growth.growth,
+        recordings.locate,
         process.studies,
         kernels.precision,
     )

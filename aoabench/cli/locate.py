@@ -12,7 +12,7 @@ import click
 
 from aoabench.cli.common import Command, echo, say
 from aoabench.cli.complete import override_items
-from aoabench.errors import check_number
+from aoabench.errors import UserError, check_number
 
 if TYPE_CHECKING:
     from aoabench.deployment.located import Located
@@ -63,23 +63,27 @@ def locate(
     truth: str | None,
     max_sigma: float | None,
     out: Path | None,
-) -> None:
+) -> int:
     """Locate the tags of a device's log.
 
     Writes a table with time, tag, position, standard deviations, outcome and reason of each fix,
-    and a map; with known truth, a figure of the errors too.
+    and a map; with known truth, a figure of the errors too. The log - is standard input: rows of
+    CSV are written as fixes are complete, to standard output or to a file.
 
     \b
     Examples:
       aoabench locate capture.log --anchors anchors.csv --format ublox
       aoabench locate log.csv --anchors anchors.csv --plan walls.geojson scenario.window_s=0.1
       aoabench locate log.csv --anchors anchors.csv --filter ekf_vmf -o track.geojson
+      socat -u /dev/ttyUSB0,b115200,raw - | aoabench locate - --anchors anchors.csv --format ublox
     """
     from aoabench.deployment.request import Request
 
     check_number("--max-sigma", max_sigma, above=0, optional=True)
     request = Request(log, anchors, form, estimator, filter_, truth, words)
-    _from_files(request, plan, max_sigma, out or Path(f"{_stem(log)}fixes.csv"))
+    if log == "-":
+        return _from_stream(request, plan, max_sigma, out)
+    return _from_files(request, plan, max_sigma, out or Path(f"{_stem(log)}fixes.csv"))
 
 
 def _stem(log: str) -> str:
@@ -88,24 +92,52 @@ def _stem(log: str) -> str:
     return "" if re.search(r"[*?\[\]{},]", name) else f"{Path(name).stem}-"
 
 
-def _from_files(request: Request, plan: str | None, max_sigma: float | None, out: Path) -> None:
+def _from_files(request: Request, plan: str | None, max_sigma: float | None, out: Path) -> int:
     """Locate the tags of files; write table and figures, print what they say."""
     from aoabench.deployment import files, located, plans
     from aoabench.engine.faults import report
 
     files.check_out(out, [request.log, request.anchors, request.truth, plan])
     asked = request.asked(report)
-    walls = None if plan is None else plans.walls(plan)
+    drawn = None if plan is None else plans.plan(plan, asked, request.frame)
     found = located.locate(asked, max_sigma, report)
-    for line in asked.cell.notes:
+    for line in (*asked.cell.notes, *(drawn.notes if drawn else ())):
         echo(line, file=sys.stderr)
-    files.write(found.frame, out, asked.cell.config)
+    files.write(found.frame, out, asked.cell.config, asked.scenario.origin)
     for line in found.errors:
         report(line)
     _print(found)
     say(f"fixes: {out}")
-    for kind, path in _figures(found, out, walls):
+    for kind, path in _figures(found, out, drawn.walls if drawn else None):
         say(f"{kind}: {path}")
+    return 0
+
+
+def _from_stream(
+    request: Request, plan: str | None, max_sigma: float | None, out: Path | None
+) -> int:
+    """Write the fixes of standard input as they are complete; return the exit status."""
+    from aoabench.deployment.files import check_stream_out, opened
+    from aoabench.deployment.streaming import Run
+    from aoabench.engine.faults import report
+
+    for flag, given in (("--plan", plan), ("--truth", request.truth)):
+        if given is not None:
+            raise UserError(f"{flag}={given} is not allowed with LOG=-; allowed: a log in a file")
+    check_stream_out(out, [request.anchors])
+    run = Run(request, max_sigma, report)
+    status = 0
+    with opened(out) as write:
+        try:
+            for frame in run.tables(sys.stdin.fileno()):
+                write(frame)
+        except KeyboardInterrupt:
+            status = 130
+            for frame in run.rest():
+                write(frame)
+    for line in run.lines():
+        echo(line, file=sys.stderr)
+    return status
 
 
 def _print(found: Located) -> None:
@@ -116,10 +148,11 @@ def _print(found: Located) -> None:
     for line in (*summary.head(frame, _SHOWN), *summary.lines(frame, asked.name)):
         say(line)
     sense = asked.scenario.azimuth_sense
-    for line in summary.residual_lines(found.residuals, asked.anchor_names, sense):
+    for line in summary.residual_lines(found.residuals, asked.scenario.anchor_names, sense):
         say(line)
+    by_mark = asked.scenario.weight == "mark"
     if found.with_truth:
-        for line in summary.accuracy_lines(summary.accuracy(frame)):
+        for line in summary.accuracy_lines(summary.accuracy(frame, by_mark), by_mark):
             say(line)
 
 

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aoabench.devices.geodesy import Origin
 from aoabench.errors import BadValue
-from aoabench.maths.geometry import Array
 from aoabench.store.files import provenance, write_atomically, write_frame
 
 if TYPE_CHECKING:
     import pandas as pd
 
 KINDS = (".csv", ".parquet", ".geojson")
-DECIMALS = 6  # of lengths in m and angles in deg in texts: micrometres
-_LENGTHS = ("_m", "_deg", "_m2", "score")
-ToDegrees = Callable[[Array], Array]  # positions (N, 2) m to longitudes and latitudes (N, 2) deg
+DECIMALS = 6  # of numbers in texts: micrometres and microseconds
+_ROUNDED = ("_s", "_m", "_deg", "_m2", "score")
+_DEGREES = 9  # decimals of longitudes and latitudes: a tenth of a millimetre
 
 
 def check_out(out: Path, read: Sequence[str | None]) -> None:
@@ -32,13 +34,37 @@ def check_out(out: Path, read: Sequence[str | None]) -> None:
             raise BadValue("-o", str(out), "another file than those that are read")
 
 
-def write(
-    frame: pd.DataFrame, out: Path, config: Any = None, degrees: ToDegrees | None = None
-) -> None:
+def check_stream_out(out: Path | None, read: Sequence[str | None]) -> None:
+    """Raise BadValue unless `out` is a CSV file that is not `read`, or None."""
+    if out is not None:
+        check_out(out, read)
+        if out.suffix.lower() != ".csv":
+            raise BadValue("-o", str(out), "a file that ends in .csv, for a stream")
+
+
+@contextmanager
+def opened(out: Path | None) -> Iterator[Callable[[pd.DataFrame], None]]:
+    """Yield a function that appends the rows of tables to the CSV file `out`, None for standard
+    output; the first one also writes the header.
+    """
+    with ExitStack() as stack:
+        file = sys.stdout.buffer if out is None else stack.enter_context(out.open("wb"))
+        first = True
+
+        def write(frame: pd.DataFrame) -> None:
+            nonlocal first
+            file.write(csv_text(frame, header=first))
+            file.flush()
+            first = False
+
+        yield write
+
+
+def write(frame: pd.DataFrame, out: Path, config: Any = None, origin: Origin | None = None) -> None:
     """Write the table of fixes to `out`, whose suffix is one of the KINDS.
 
-    config: the settings, for the origin of a Parquet file. degrees: turns positions into degrees
-    for GeoJSON; None: metres are written, as local coordinates.
+    config: the settings, for the provenance of a Parquet file. origin: that of the positions, which
+    become longitudes and latitudes in GeoJSON; None: they stay local coordinates in m.
     """
     kind = out.suffix.lower()
     if kind == ".parquet":
@@ -46,49 +72,53 @@ def write(
     elif kind == ".csv":
         write_atomically(out, lambda path: path.write_bytes(csv_text(frame)))
     else:
-        write_atomically(out, lambda path: _write_lines(path, geojson(frame, degrees)))
+        write_atomically(out, lambda path: _write_lines(path, geojson(frame, origin)))
 
 
 def csv_text(frame: pd.DataFrame, header: bool = True) -> bytes:
     """The table as CSV in UTF-8; a cell is empty where nothing is known."""
+    import pandas as pd
     import pyarrow as pa
     from pyarrow import csv
 
-    shown = rounded(frame)
+    columns = rounded(frame)
     sink = pa.BufferOutputStream()
     how = csv.WriteOptions(include_header=False, quoting_style="none")
     try:
-        csv.write_csv(pa.Table.from_pandas(shown, preserve_index=False), sink, how)
+        arrays = {name: pa.array(column, from_pandas=True) for name, column in columns.items()}
+        csv.write_csv(pa.table(arrays), sink, how)
     except pa.ArrowInvalid:  # a cell needs quotes
-        return bytes(shown.to_csv(index=False, header=header, lineterminator="\n").encode())
-    names = ",".join(map(str, frame.columns)) + "\n"
+        quoted = pd.DataFrame(columns).to_csv(index=False, header=header, lineterminator="\n")
+        return bytes(quoted.encode())
+    names = ",".join(columns) + "\n"
     rows: bytes = sink.getvalue().to_pybytes()
     return names.encode() * header + rows
 
 
-def rounded(frame: pd.DataFrame) -> pd.DataFrame:
-    """The frame with lengths, angles and scores at DECIMALS."""
-    chosen = [name for name in map(str, frame.columns) if name.endswith(_LENGTHS)]
-    return frame.assign(**{name: np.round(frame[name], DECIMALS) for name in chosen})
+def rounded(frame: pd.DataFrame) -> dict[str, np.ndarray]:
+    """The columns of a table, with times, lengths, angles and scores at DECIMALS."""
+    columns = {str(name): frame[name].to_numpy() for name in frame.columns}
+    numbers = {name for name in columns if name.endswith(_ROUNDED)}
+    return {n: np.round(c, DECIMALS) + 0.0 if n in numbers else c for n, c in columns.items()}
 
 
-def geojson(frame: pd.DataFrame, degrees: ToDegrees | None) -> Iterator[str]:
+def geojson(frame: pd.DataFrame, origin: Origin | None) -> Iterator[str]:
     """The lines of a GeoJSON file with a Point for each fix, without a geometry where it has no
     position; of local coordinates, `units` is m.
     """
-    places = frame[["x_m", "y_m"]].to_numpy(dtype=float)
-    given = np.isfinite(places).all(axis=1)
-    if degrees is not None:
-        places[given] = degrees(places[given])
-    places = np.round(places, DECIMALS + 3 * (degrees is not None))
+    points = frame[["x_m", "y_m", "z_m"]].to_numpy(dtype=float)
+    flat, given = np.isnan(points[:, 2]), np.isfinite(points[:, :2]).all(axis=1)
+    if origin is not None:
+        lifted = np.where(np.isnan(points), 0.0, points)
+        points = np.where(given[:, None], origin.geodetic(lifted)[:, [1, 0, 2]], np.nan)
+    points = np.round(points, DECIMALS if origin is None else _DEGREES)
     yield '{"type": "FeatureCollection", '
-    yield '"units": "m", ' if degrees is None else ""
+    yield '"units": "m", ' if origin is None else ""
     yield '"features": ['
-    heights = np.round(frame["z_m"].to_numpy(dtype=float), DECIMALS)
-    rows = rounded(frame).to_dict("records")
-    for i, (row, place, z) in enumerate(zip(rows, places, heights)):
-        point = [*place.tolist(), *([float(z)] if math.isfinite(z) else [])]
-        geometry = {"type": "Point", "coordinates": point} if given[i] else None
+    rows = frame.assign(**rounded(frame)).to_dict("records")
+    for i, (row, point) in enumerate(zip(rows, points.tolist())):
+        coordinates = point[: 2 if flat[i] else 3]
+        geometry = {"type": "Point", "coordinates": coordinates} if given[i] else None
         feature = {"type": "Feature", "properties": _plain(row), "geometry": geometry}
         yield f"{',' if i else ''}\n{json.dumps(feature, allow_nan=False)}"
     yield "\n]}\n"

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 MAX_SIGMA = "max_sigma"  # the reason of a fix that is rejected for its stated deviation
 COVARIANCES = tuple(f"cov_{pair}_m2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
+# anchors_used are all heard where the method does not count them, as filters do not.
 # A position is given where the outcome is ok, oscillated or diverged. sigma_major_m and
 # sigma_minor_m are the half-axes of the ellipse of one standard deviation in the plane,
 # ellipse_deg is the direction of the longer one, counter-clockwise from +x. Residuals are the root
@@ -26,17 +27,18 @@ COLUMNS = (
     "outcome", "reason", "anchors_used", "anchors_heard", "packets", "score",
     "residual_azimuth_deg", "residual_elevation_deg", *COVARIANCES,
 )  # fmt: skip
-OF_TRUTH = ("true_x_m", "true_y_m", "true_z_m", "error_xy_m", "error_3d_m", "error_z_m")
+OF_TRUTH = ("mark", "true_x_m", "true_y_m", "true_z_m", "error_xy_m", "error_3d_m", "error_z_m")
 
 
 def table(
     tracks: Tracks,
     solved: Solved,
     max_sigma_m: float | None = None,
-    with_truth: bool = False,
+    marks: np.ndarray | None = None,
     numbers: np.ndarray | None = None,
 ) -> pd.DataFrame:
-    """A row for each fix, with the COLUMNS and, `with_truth`, those of the truth.
+    """A row for each fix, with the COLUMNS and, with `marks` (F,), the numbers of the true
+    positions, those of the truth.
 
     Rows are in order of time over all tracks; in order of the tracks where a time is unknown. A fix
     whose longer half-axis exceeds `max_sigma_m` is rejected and has no position. numbers (R,): the
@@ -53,13 +55,17 @@ def table(
     found |= {"track": np.repeat(numbers, tracks.counts)}
     found |= {"tag": np.repeat(tag, tracks.counts), "fix": tracks.fix, "time_s": tracks.time}
     found |= {"anchors_heard": heard(tracks), "packets": tracks.packets}
+    if estimates.anchors_used is None:
+        given = np.isfinite(estimates.position[0, :, 0])
+        found["anchors_used"] = np.where(given, found["anchors_heard"], np.nan)
     for name in ("azimuth", "elevation"):
         rms = _root_mean_square(solved.residuals, name, F)
         found[f"residual_{name}_deg"] = np.degrees(rms)
     if max_sigma_m is not None:
         _reject(found, major > max_sigma_m)
     columns = list(COLUMNS)
-    if with_truth:
+    if marks is not None:
+        found["mark"] = marks
         found |= {f"true_{axis}_m": tracks.truth[:, i] for i, axis in enumerate("xyz")}
         columns += OF_TRUTH
     frame = pd.DataFrame({name: found[name] for name in columns})
@@ -92,7 +98,7 @@ def ellipses(estimates: Estimates) -> tuple[Array, Array, Array]:
     with np.errstate(invalid="ignore"):
         minor = np.sqrt(np.maximum(middle - apart, 0.0))
         turn = np.degrees(np.arctan2(2 * xy, xx - yy) / 2)
-    return np.sqrt(middle + apart), minor, turn
+    return np.sqrt(middle + apart), minor, np.where(turn <= -90.0, 90.0, turn)
 
 
 def _root_mean_square(residuals: Residuals, name: str, F: int) -> Array:

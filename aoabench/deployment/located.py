@@ -61,7 +61,8 @@ def locate(
             "allowed: a method that does, such as robust_ml"
         )
     with_truth = bool(np.isfinite(tracks.truth[:, :2]).all(axis=1).any())
-    frame = fixes.table(tracks, solved, max_sigma_m, with_truth)
+    marks = scenario.marks if with_truth else None
+    frame = fixes.table(tracks, solved, max_sigma_m, marks)
     away = estimates.outcome[0] == Outcome.REJECTED
     if max_sigma_m is not None:
         away |= fixes.ellipses(estimates)[0] > max_sigma_m

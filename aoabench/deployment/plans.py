@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from aoabench.devices import plan
-from aoabench.maths.geometry import Array
+from aoabench.deployment.request import Asked
+from aoabench.devices.plan import Frame, Plan, read_plan
+from aoabench.errors import BadValue, UserError, did_you_mean
+
+KEYS = {"walls_unit": "unit", "walls_crs": "crs", "walls_layers": "layers"}
 
 
-def walls(path: str) -> Array:
-    """Walls (W, 2, 2) m of a file; raises BadValue for a file that is none."""
-    return plan.read_plan("--plan", Path(path)).walls
+def plan(path: str, asked: Asked, settings: Mapping[str, Any]) -> Plan:
+    """The plan in a file, in the local coordinates of the recording.
+
+    settings: what the user declares of its coordinates, by the KEYS. Raises UserError for a file
+    that is no plan, and for coordinates that do not fit together.
+    """
+    for key in settings:
+        if key not in KEYS:
+            allowed = f"; allowed: {', '.join(KEYS)}"
+            raise UserError(f"scenario.{key}: unknown key{did_you_mean(key, KEYS) or allowed}")
+    given = {KEYS[key]: value for key, value in settings.items()}
+    frame = Frame(origin=asked.scenario.origin, **given)
+    try:
+        found = read_plan("--plan", Path(path), frame)
+        if not found.geodetic:
+            asked.scenario.check_local("the plan is local")
+    except BadValue as error:
+        own = error.key in (*KEYS, "origin_deg")
+        key = f"scenario.{error.key}" if own else error.key
+        raise BadValue(key, error.value, error.allowed) from None
+    return found

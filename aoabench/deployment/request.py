@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from aoabench.devices.anchors import read_anchors
 from aoabench.errors import UserError
 from aoabench.report.text import shown_name
 from aoabench.roles import Estimator
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from aoabench.cell import Cell
 
 DEFAULT = "robust_ml"
+WALLS = "scenario.walls_"  # keys that declare the coordinates of the plan
 _GROUPS = ("estimator", "filter", "experiment", "noise")
 
 
@@ -67,7 +67,16 @@ class Request:
         method = f"estimator=[{self.estimator or DEFAULT}]"
         if self.filter is not None:
             method = f"filter=[{self.filter}]"
-        return ["scenario=recorded", *given, *form, method, *self.settings]
+        others = [word for word in self.settings if not word.startswith(WALLS)]
+        return ["scenario=recorded", *given, *form, method, *others]
+
+    @property
+    def frame(self) -> dict[str, Any]:
+        """The settings of the plan's coordinates, such as walls_crs, by their keys."""
+        from aoabench.config.overrides import read
+
+        found = read([word for word in self.settings if word.startswith(WALLS)])
+        return {setting.key.partition(".")[2]: setting.value for setting in found}
 
     def asked(self, say: Callable[[str], None] | None = None) -> Asked:
         """The recording and the method; raises UserError for every mistake in the input."""
@@ -85,15 +94,6 @@ class Asked:
     scenario: Recorded
     name: str
     method: Estimator
-
-    @property
-    def anchor_names(self) -> list[str]:
-        """The anchors' names (B,)."""
-        if isinstance(self.scenario.anchors, str):
-            return read_anchors("anchors", self.scenario.anchors).ids
-        ids = self.scenario.anchor_ids
-        count = self.scenario.true_anchors.count
-        return list(map(str, range(1, count + 1) if ids is None else ids))
 
     @classmethod
     def of(cls, cell: Cell) -> Asked:

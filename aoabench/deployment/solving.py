@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -56,10 +56,10 @@ def solve(scenario: Scenario, noise: Noise, method: Estimator, counts: np.ndarra
             errors |= failed
             batch = draws.drawn(first, size).whole
             lengths = counts[first : first + size]
-            for i, one in enumerate(_tracks(estimates, lengths)):
+            for i, each in enumerate(_tracks(estimates, lengths)):
+                one = at_height(each, scenario.known_height_m)
                 pieces.append(one)
-                found = residuals_of(batch.of(i), one.position, scenario.known_height_m, begin)
-                residuals.append(found)
+                residuals.append(residuals_of(batch.of(i), one.position, begin))
                 begin += int(lengths[i])
     return Solved(joined(pieces), Residuals.joined(residuals), errors)
 
@@ -88,12 +88,19 @@ def joined(pieces: list[Estimates]) -> Estimates:
     return Estimates(**found)  # type: ignore[arg-type]
 
 
-def residuals_of(
-    batch: Batch, position: Array, height_m: float | None, begin: int = 0
-) -> Residuals:
+def at_height(estimates: Estimates, height_m: float | None) -> Estimates:
+    """The estimates with the known height as z where a method in the plane gives none."""
+    position = estimates.position
+    flat = np.isfinite(position[..., 0]) & np.isnan(position[..., 2])
+    if height_m is None or not flat.any():
+        return estimates
+    z = np.where(flat, height_m, position[..., 2])
+    return replace(estimates, position=np.concatenate([position[..., :2], z[..., None]], axis=-1))
+
+
+def residuals_of(batch: Batch, position: Array, begin: int = 0) -> Residuals:
     """Residuals of the fixes at `position` (1, T, 3) m of one track, whose first fix has the index
-    `begin`. Where z is NaN it is `height_m`; without that, azimuths are those at the anchor's
-    height.
+    `begin`. Where z is NaN, azimuths are those at the anchor's height.
     """
     T = position.shape[1]
     seen = np.isfinite(batch.azimuth[0, :T]) & np.isfinite(position[0, :, :1])
@@ -103,9 +110,6 @@ def residuals_of(
         return np.asarray(array[0, t if array.shape[1] > 1 else 0, b])
 
     d = position[0, t] - at(batch.anchors.position)
-    if height_m is not None:
-        z = height_m - at(batch.anchors.position)[:, 2]
-        d[:, 2] = np.where(np.isnan(d[:, 2]), z, d[:, 2])
     flat = np.isnan(d[:, 2])
     d[flat, 2] = 0.0
     u, v, w = np.einsum("nij,nj->in", at(batch.anchors.rotation), d)

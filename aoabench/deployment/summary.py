@@ -118,41 +118,64 @@ def _middle(angles: np.ndarray) -> float:
     return float((found + 180) % 360 - 180)
 
 
-def accuracy(frame: pd.DataFrame) -> dict[str, float]:
+def accuracy(frame: pd.DataFrame, by_mark: bool = False) -> dict[str, float]:
     """Errors in the plane of the fixes with a known truth: their number `fixes`; shares of all of
     them `coverage` (with a position) and `p_within_<d>m`; of those with a position `cep50_m`,
     `cep90_m`, `cep95_m`, `rmse_xy_m`, `rmse_3d_m`, and `inside_95`, the share whose truth lies in
     the stated ellipse of 95 % (NaN without deviations).
+
+    Each fix counts alike or, `by_mark`, each true position.
     """
     known = frame[frame["true_x_m"].notna() & frame["true_y_m"].notna()]
+    weight = np.ones(len(known))
+    if by_mark:
+        weight = 1.0 / known.groupby("mark")["mark"].transform("size").to_numpy()
     error = known["error_xy_m"].to_numpy()
-    given = error[np.isfinite(error)]
-    found: dict[str, Any] = {"fixes": len(known), "coverage": len(given) / max(len(known), 1)}
+    given = np.isfinite(error)
+    found: dict[str, Any] = {"fixes": len(known), "coverage": _mean(given, weight)}
     for limit in WITHIN_M:
-        found[f"p_within_{limit}m"] = float((error <= limit).mean()) if len(known) else np.nan
+        found[f"p_within_{limit}m"] = _mean(error <= limit, weight)
     for q in (50, 90, 95):
-        found[f"cep{q}_m"] = float(np.quantile(given, q / 100)) if len(given) else np.nan
+        found[f"cep{q}_m"] = _quantile(error[given], q / 100, weight[given] if by_mark else None)
     for axis in ("xy", "3d"):
-        square = known[f"error_{axis}_m"].dropna() ** 2
-        found[f"rmse_{axis}_m"] = float(np.sqrt(square.mean())) if len(square) else np.nan
-    return found | {"inside_95": _inside(known)}
+        square = known[f"error_{axis}_m"].to_numpy() ** 2
+        some = np.isfinite(square)
+        found[f"rmse_{axis}_m"] = np.sqrt(_mean(square[some], weight[some]))
+    inside = _distances(known)
+    some = np.isfinite(inside)
+    return found | {"inside_95": _mean(inside[some] <= _WITHIN_95, weight[some])}
 
 
-def _inside(known: pd.DataFrame) -> float:
-    """The share of truths within the ellipse of 95 %; NaN without deviations."""
+def _mean(values: np.ndarray, weight: np.ndarray) -> float:
+    return float(np.average(values, weights=weight)) if len(values) else np.nan
+
+
+def _quantile(values: np.ndarray, probability: float, weight: np.ndarray | None) -> float:
+    if not len(values):
+        return np.nan
+    if weight is None:
+        return float(np.quantile(values, probability))
+    return float(np.quantile(values, probability, weights=weight, method="inverted_cdf"))
+
+
+def _distances(known: pd.DataFrame) -> np.ndarray:
+    """The squared distances (N,) of truths from the fixes, in standard deviations in the plane; NaN
+    without deviations.
+    """
     x, y = known["x_m"] - known["true_x_m"], known["y_m"] - known["true_y_m"]
     xx, xy, yy = (known[f"cov_{pair}_m2"] for pair in ("xx", "xy", "yy"))
     with np.errstate(all="ignore"):
         square = (yy * x**2 - 2 * xy * x * y + xx * y**2) / (xx * yy - xy**2)
-    square = square[np.isfinite(square)]
-    return float((square <= _WITHIN_95).mean()) if len(square) else np.nan
+    return np.asarray(square, dtype=float)
 
 
-def accuracy_lines(found: dict[str, float]) -> Iterator[str]:
+def accuracy_lines(found: dict[str, float], by_mark: bool = False) -> Iterator[str]:
     """The errors of `accuracy`."""
     shares = ", ".join(f"P(<= {d:g} m) {percent(found[f'p_within_{d}m'])}" for d in WITHIN_M)
     coverage = percent(found["coverage"])
-    yield f"errors in the plane, {found['fixes']} fixes with truth: {shares}, coverage {coverage}"
+    each = ", each true position alike" if by_mark else ""
+    of = f"{found['fixes']} fixes with truth{each}"
+    yield f"errors in the plane, {of}: {shares}, coverage {coverage}"
     if found["coverage"] > 0:
         inside = found["inside_95"]
         more = f"; truth in the 95 % ellipse: {percent(inside)}" if inside == inside else ""

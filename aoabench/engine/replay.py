@@ -16,7 +16,7 @@ from aoabench.engine.draws import Draws
 from aoabench.engine.recording import Identity
 from aoabench.engine.tiles import tile_of, try_tile
 from aoabench.errors import UserError, did_you_mean
-from aoabench.roles import Scenario
+from aoabench.roles import Estimator, Scenario
 from aoabench.store import folder
 from aoabench.types import Batch, Estimates, Outcome
 
@@ -83,8 +83,7 @@ def replay(
     track = None if draws.tracks is None else Identity.of(draws.tracks, replication)
     columns = _named(track, batch) | _estimated(truth[i], estimates, i) | _measured(batch, i)
     if replication not in errors:
-        traced = method.trace(batch, scenario, draws.streams(tuple(range(first, first + size))))
-        columns |= {name: np.asarray(value)[i] for name, value in traced.items()}
+        columns |= _traced(draws, method, batch, first, i)
     rmse = metrics.per_replication(estimates, truth[..., :3])["rmse_3d_m"][i]
     return Replay(
         run=run,
@@ -101,6 +100,17 @@ def replay(
         error=errors.get(replication, ""),
         track=track,
     )
+
+
+def _traced(
+    draws: Draws, method: Estimator, batch: Batch, first: int, i: int
+) -> dict[str, np.ndarray]:
+    """The columns of the estimator's own trace in the tile's i-th replication; the tile begins at
+    the replication `first`.
+    """
+    numbers = tuple(range(first, first + tile_of(method, draws.scenario)))
+    traced = method.trace(batch, draws.scenario, draws.streams(numbers))
+    return {name: np.asarray(value)[i] for name, value in traced.items()}
 
 
 def _record(run: Path, cell: str | None) -> dict[str, Any]:

@@ -6,9 +6,10 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from aoabench.devices.truth import read_truth
 from aoabench.errors import BadValue, check_array, listed
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
+from aoabench.models.motion import motion_of
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
 from aoabench.scenarios.log_parameters import LogParameters
@@ -63,6 +65,7 @@ class Recorded(LogParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "motion", motion_of(self.motion))
         if self.heading_deg is not None and (self.measured_by, self.frame) != ("mobile", "own"):
             raise BadValue(
                 "heading_deg",
@@ -133,6 +136,26 @@ class Recorded(LogParameters):
         upright = np.zeros_like(anchors.rotation) + np.eye(3)
         return anchors if own else Anchors(anchors.position, upright)
 
+    @property
+    def anchor_names(self) -> list[str]:
+        """The anchors' names (B,)."""
+        return self._anchors.ids
+
+    @property
+    def origin(self) -> Origin | None:
+        """The origin of the local coordinates; None where it is unknown."""
+        return self._anchors.origin
+
+    def check_local(self, why: str) -> None:
+        """AnchorsFile.check_local of the anchors."""
+        self._anchors.check_local(why)
+
+    def with_tracks(self, tracks: Tracks, start_s: float | None = None) -> Recorded:
+        """The scenario with other tracks, whose filters start at the time `start_s`."""
+        found = copy(self)
+        vars(found).update(_read=Read(tracks, ()), start_s=start_s)
+        return found
+
     def offers(self) -> frozenset[str]:
         """The offers of all scenarios, less several anchors if no fix has measurements by two, and
         less motion if the times between fixes are unknown.
@@ -197,7 +220,25 @@ class Recorded(LogParameters):
 
     def _packets(self, anchors: AnchorsFile) -> tuple[Packets, list[str]]:
         """The packets of the chosen tags with their true positions, and remarks to print."""
-        content = opened("path", self.path, self.reading)
+        packets, notes = self.packets_of(opened("path", self.path, self.reading), self.path)
+        if not packets.count:
+            raise packets.table.bad("a file with at least one row")
+        if self.tags is not None:
+            packets = packets.of_tags([str(tag) for tag in self.tags])
+        if self.truth_file is not None:
+            declared = self.declared(dict(packets.table.stated))
+            source = read_truth("truth", self.truth_file, declared["time_unit"], anchors)
+            found, lines = source.at(packets, self.truth_gap_s, self.truth_offset_s)
+            packets, notes = replace(packets, truth=found), [*notes, *lines]
+        elif np.isfinite(packets.truth).any():
+            anchors.check_local("the log's true positions are local")
+        return packets, notes
+
+    def packets_of(self, content: Content, path: Any) -> tuple[Packets, list[str]]:
+        """The packets of all tags in the content of a log, and remarks to print; `path` is the
+        log's name in messages.
+        """
+        anchors = self._anchors
         declared = self.declared(dict(content.stated))
         given = Given(
             conventions=log.Conventions(**{n: declared[n] for n in log.Conventions._fields}),
@@ -207,21 +248,13 @@ class Recorded(LogParameters):
             unknown_anchors=self.unknown_anchors,
             clock_offset=anchors.clock_offset_s,
         )
-        table = Table.of(content, "path", self.path, self._chosen(content, given))
+        table = Table.of(content, "path", path, self._chosen(content, given))
         try:
             packets, notes = read_packets(table, anchors.ids, given)
         except BadValue as error:
             why = f"; {self.anchors} has no column id, so that its anchors are called 1, 2, ..."
             more = why * anchors.numbered
             raise BadValue(error.key, error.value, error.allowed + more) from None
-        if self.tags is not None:
-            packets = packets.of_tags([str(tag) for tag in self.tags])
-        if self.truth_file is not None:
-            source = read_truth("truth", self.truth_file, given.time_unit, anchors)
-            found, lines = source.at(packets, self.truth_gap_s, self.truth_offset_s)
-            packets, notes = replace(packets, truth=found), [*notes, *lines]
-        elif np.isfinite(packets.truth).any():
-            anchors.check_local("the log's true positions are local")
         return packets, [*table.notes, *notes]
 
     def _at_height(self, truth: Array) -> Array:

@@ -1,5 +1,12 @@
 """`aoabench locate` as a command."""
 
+import io
+import signal
+import subprocess
+import sys
+import time
+from subprocess import PIPE
+
 import pandas as pd
 import pytest
 
@@ -54,3 +61,60 @@ def test_mistakes(call, here, log, words, expected):  # noqa: F811
     assert (status, out) == (2, "")
     assert expected in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("method", [["--estimator", "robust_ml"], ["--filter", "ekf_vmf"]])
+def test_a_stream_as_a_command(call, here, log, method):  # noqa: F811
+    """The rows come while the log goes on, and are those of the file."""
+    rows = rows_of(POINTS.repeat(3, axis=0), "T1")
+    log(rows, "time_s,tag,anchor,azimuth_deg,elevation_deg")
+    words = ["--anchors", "anchors.csv", "scenario.window_s=0.1", *method]
+    status, _, err = call("locate", "log.csv", *words, "-o", "file.csv")
+    assert status == 0, err
+    command = [sys.executable, "-m", "aoabench.cli", "locate", "-", *words]
+    with subprocess.Popen(
+        command, stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True, bufsize=1
+    ) as run:
+        lines = (here / "log.csv").read_text().splitlines(keepends=True)
+        run.stdin.writelines(lines[:-4])
+        run.stdin.flush()
+        first = [run.stdout.readline() for _ in range(12)]
+        assert run.poll() is None
+        run.stdin.writelines(lines[-4:])
+        run.stdin.close()
+        rest, said = run.stdout.read(), run.stderr.read()
+    assert run.returncode == 0, said
+    assert said.splitlines()[-1].endswith("12 fixes, 12 with a position (100 %)")
+    found = pd.read_csv(io.StringIO("".join(first) + rest))
+    pd.testing.assert_frame_equal(found, pd.read_csv("file.csv"), atol=2e-6)
+
+
+def test_an_interrupted_stream_gives_what_it_has(here, log):  # noqa: F811
+    rows = rows_of(POINTS[:1], "T1")
+    path = log(rows, "time_s,tag,anchor,azimuth_deg,elevation_deg")
+    words = ["locate", "-", "--anchors", "anchors.csv", "scenario.window_s=100", "-o", "out.csv"]
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += f"from aoabench.cli.main import main; main({words!r})"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=PIPE, stderr=PIPE, text=True) as run:
+        run.stdin.write(path.read_text())
+        run.stdin.flush()
+        while not (here / "out.csv").exists():
+            assert run.poll() is None
+            time.sleep(0.05)
+        time.sleep(1)
+        run.send_signal(signal.SIGINT)
+        said = run.stderr.read()
+    assert run.returncode == 130, said
+    assert "Traceback" not in said
+    assert len(pd.read_csv("out.csv")) == 1
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["--plan", "walls.geojson"], "--plan=walls.geojson is not allowed with LOG=-"),
+    (["--truth", "log.csv"], "--truth=log.csv is not allowed with LOG=-"),
+    (["-o", "out.parquet"], "ends in .csv"),
+])  # fmt: skip
+def test_mistakes_with_a_stream(call, here, words, expected):
+    status, out, err = call("locate", "-", "--anchors", "anchors.csv", *words)
+    assert (status, out) == (2, "")
+    assert expected in err

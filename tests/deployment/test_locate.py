@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 
 import aoabench
-from aoabench.deployment import files, fixes, located, summary
+from aoabench.deployment import files, fixes, located, plans, summary
 from aoabench.deployment.request import Request
+from aoabench.devices.geodesy import Origin
 from aoabench.errors import UserError
 from aoabench.roles import PlainEstimator
 from tests.deployment.conftest import ANCHORS, POINTS, angles, rows_of
@@ -114,6 +115,75 @@ def test_truth_gives_the_errors(room, log, rng):
     for q in (50, 90, 95):
         assert got[f"cep{q}_m"] == pytest.approx(np.percentile(given, q), rel=1e-5)
     assert "coverage 97.5 %" in next(summary.accuracy_lines(got))
+
+
+def test_each_mark_counts_alike_if_asked(room, log):
+    counts, off = (9, 1), (0.5, 3.0)
+    points = np.repeat(POINTS[:2], counts, axis=0)
+    truth = points[:, :2] + np.repeat([[o, 0.0] for o in off], counts, axis=0)
+    rows = [
+        f"{row},{x!r},{y!r}"
+        for row, (x, y) in zip(rows_of(points), np.repeat(truth, 4, axis=0).tolist())
+    ]
+    found = located_in(log(rows, "fix,anchor,azimuth_deg,elevation_deg,x_m,y_m"), room, "scenario.height_m=1.1",
+                       estimator="ls_lines")  # fmt: skip
+    plain, by_mark = (summary.accuracy(found.frame, by) for by in (False, True))
+    assert plain["p_within_1m"] == pytest.approx(0.9)
+    assert by_mark["p_within_1m"] == pytest.approx(0.5)
+    assert plain["rmse_xy_m"] == pytest.approx(np.sqrt(0.9 * 0.25 + 0.1 * 9), rel=1e-4)
+    assert by_mark["rmse_xy_m"] == pytest.approx(np.sqrt((0.25 + 9) / 2), rel=1e-4)
+    assert by_mark["cep95_m"] == pytest.approx(3.0, rel=1e-4)
+
+
+def test_geojson_of_anchors_in_degrees_is_in_degrees(room, log):
+    origin = Origin(60.0, 24.0)
+    lines = ["id,lat_deg,lon_deg,height_m,facing_deg"]
+    for name, (x, y, z, facing) in ANCHORS.items():
+        lat, lon, height = origin.geodetic(np.array([[x, y, z]]))[0].tolist()
+        lines.append(f"{name},{lat!r},{lon!r},{height!r},{facing}")
+    (room / "anchors.csv").write_text("\n".join(lines) + "\n")
+    found = located_in(log(rows_of(POINTS)), room, "scenario.origin_deg=[60.0,24.0]")
+    files.write(found.frame, room / "out.geojson", origin=found.asked.scenario.origin)
+    document = json.loads((room / "out.geojson").read_text())
+    assert "units" not in document
+    for feature, point in zip(document["features"], POINTS):
+        lon, lat, height = feature["geometry"]["coordinates"]
+        assert np.allclose(origin.local(lat, lon, height), point, atol=1e-3)
+
+
+def test_a_plan_in_degrees_needs_an_origin(room, log):
+    origin = Origin(60.0, 24.0)
+    corners = np.array([[0, 0, 0], [12, 0, 0], [12, 6, 0], [0, 6, 0], [0, 0, 0.0]])
+    ring = origin.geodetic(corners)[:, [1, 0]].tolist()
+    feature = {
+        "type": "Feature",
+        "properties": {},
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+    }
+    path = room / "plan.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    request = Request(
+        str(log(rows_of(POINTS))), str(room / "anchors.csv"), settings=("scenario.walls_crs=wgs84",)
+    )
+    with pytest.raises(UserError, match="origin_deg"):
+        plans.plan(str(path), request.asked(), request.frame)
+    request = replace(request, settings=(*request.settings, "scenario.origin_deg=[60.0,24.0]"))
+    walls = plans.plan(str(path), request.asked(), request.frame).walls
+    assert np.allclose(walls[:, 0], corners[:-1, :2], atol=1e-3)
+    with pytest.raises(UserError, match="did you mean 'walls_crs'"):
+        plans.plan(str(path), request.asked(), {"walls_csr": "wgs84"})
+
+
+def test_a_filter_needs_no_further_setting(room, log):
+    rows = [row.split(",", 1) for row in rows_of(np.repeat(POINTS[:1], 9, axis=0))]
+    path = log(
+        [f"{float(k)},{rest}" for k, rest in rows], "time_s,anchor,azimuth_deg,elevation_deg"
+    )
+    for name in ("ekf_vmf", "ekf_vmf_smoother", "pf_ae_fitted"):
+        frame = located_in(path, room, filter=name).frame
+        assert (frame["outcome"] == "ok").all()
+        assert np.allclose(frame[["x_m", "y_m"]].iloc[-1], POINTS[0, :2], atol=0.2)
+        assert (frame["anchors_used"] == 4).all()
 
 
 def test_files_hold_the_same_numbers(room, log):

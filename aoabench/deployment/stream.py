@@ -1,0 +1,44 @@
+"""A stream of bytes, such as standard input, in pieces as they arrive."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+PIECE = 2**18  # bytes that are read at once
+GATHER_S = 0.005  # what arrives within this time is read together
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What arrived by the time `at` (time.monotonic) s; b"" if nothing did."""
+
+    text: bytes
+    at: float
+
+
+def pieces(file: int, wait_s: Callable[[], float | None]) -> Iterator[Piece]:
+    """Yield what arrives at a file descriptor, until it ends.
+
+    An empty piece is yielded when nothing has arrived for `wait_s()` s; None: wait for ever.
+    """
+    while True:
+        if not _ready(file, wait_s()):
+            yield Piece(b"", time.monotonic())
+            continue
+        time.sleep(GATHER_S)
+        found = os.read(file, PIECE)
+        if not found:
+            return
+        yield Piece(found, time.monotonic())
+
+
+def _ready(file: int, wait_s: float | None) -> bool:
+    """Whether there is something to read within `wait_s` s, or the stream has ended."""
+    try:
+        return bool(select.select([file], [], [], wait_s)[0])
+    except (ValueError, OSError):  # a system that waits for sockets alone
+        return True
