@@ -86,7 +86,7 @@ def run_text(found: Finished) -> Iterator[str]:
             f"[95 % interval{', clustered by position but of the median' if clustered else ''}]"
         )
     if not found.summary["causal"].all():
-        yield NON_CAUSAL
+        yield f"non-causal: {NON_CAUSAL}"
     yield from tags_text(told(tags(out, found.cells)))
     yield from heavy_tails_text(heavy_tails(found.summary))
     yield from not_ok_text(not_ok(found.summary))

@@ -27,8 +27,9 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
         yield ""
     for cell, why in left_out.items():
         yield f"cell {cell}: nothing to compare, {why}"
-    for name in table.attrs["non_causal"]:
-        yield f"{name} is {NON_CAUSAL}"
+    if table.attrs["non_causal"]:
+        yield ""
+        yield f"non-causal: {', '.join(table.attrs['non_causal'])}; their {NON_CAUSAL}"
     if table.attrs["comparisons"]:
         yield ""
         yield from _method(table)

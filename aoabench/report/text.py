@@ -14,7 +14,7 @@ def printed_text(value: float | None, rounding: float) -> str:
     )
 
 
-NON_CAUSAL = "non-causal: its fixes use later measurements too, as live positioning cannot"
+NON_CAUSAL = "fixes use later measurements too, as live positioning cannot"
 
 
 def shown_name(estimator: str, causal: bool) -> str:
