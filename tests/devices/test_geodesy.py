@@ -51,7 +51,7 @@ def test_there_and_back(lat0, lon0, rng):
     origin = Origin(lat0, lon0)
     points = rng.uniform(-5e4, 5e4, (200, 3))
     lat, lon, height = origin.geodetic(points).T
-    np.testing.assert_allclose(origin.local(lat, lon, height), points, atol=1e-7)
+    np.testing.assert_allclose(origin.local(lat, lon, height), points, atol=1e-8)
 
 
 def test_distances_do_not_depend_on_the_origin(rng):
