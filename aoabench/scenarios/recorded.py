@@ -29,6 +29,7 @@ from aoabench.devices.truth import read_truth
 from aoabench.errors import BadValue, check_array, listed
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
+from aoabench.roles import Motion
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
 from aoabench.scenarios.log_parameters import LogParameters
@@ -148,10 +149,14 @@ class Recorded(LogParameters):
         """AnchorsFile.check_local of the anchors."""
         self._anchors.check_local(why)
 
-    def with_tracks(self, tracks: Tracks, start_s: float | None = None) -> Recorded:
-        """The scenario with other tracks, whose filters start at the time `start_s`."""
+    def with_tracks(
+        self, tracks: Tracks, start_s: float | None = None, motion: Motion | None = None
+    ) -> Recorded:
+        """The scenario with other tracks, whose filters start at the time `start_s`, and with
+        another motion model.
+        """
         found = copy(self)
-        vars(found).update(_read=Read(tracks, ()), start_s=start_s)
+        vars(found).update(_read=Read(tracks, ()), start_s=start_s, motion=motion)
         return found
 
     def offers(self) -> frozenset[str]:
