@@ -20,7 +20,7 @@ REPLICATIONS = {
     "rmse_3d_m": "double",
     "rmse_xy_m": "double",
     "rmse_z_m": "double",
-    "outcome": "string",
+    "outcome": "string",  # the worst of the fixes'; of a recorded track the commonest
     "n_fixes": "int64",
     "n_ok": "int64",
     "n_diverged": "int64",
@@ -135,6 +135,7 @@ SUMMARY = {
     **_with("_low _high", *CEP, *ERROR_Z),
     **_with("_low _high", *(f"p_within_{limit}m" for limit in WITHIN_M), "availability"),
     "se_by": "string",
+    "causal": "bool",  # false for a smoother, whose fixes use later measurements too
 }
 
 

@@ -54,7 +54,8 @@ def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None
       aoabench compare results/raw/sigma --metric rmse_z_m
 
     With --json: `run`, `metric`; `comparisons`, the number of p-values that Holm's method adjusts;
-    `rows`, the rows of compare.parquet; `left_out`, an object {cell not compared: reason}.
+    `rows`, the rows of compare.parquet; `left_out`, an object {cell not compared: reason};
+    `non_causal`, the estimators whose fixes use later measurements too.
     """
     from aoabench.report.comparison import lines
     from aoabench.report.tails import heavy_tails, heavy_tails_text
@@ -64,7 +65,7 @@ def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None
 
     table = compare_module.compare(run, baseline, metric)
     if as_json:
-        found = {name: table.attrs[name] for name in ("comparisons", "left_out")}
+        found = {name: table.attrs[name] for name in ("comparisons", "left_out", "non_causal")}
         print_json({"run": run, "metric": metric, **found, "rows": table.to_dict("records")})
     else:
         echo("\n".join(lines(table)))

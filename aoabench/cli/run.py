@@ -175,10 +175,12 @@ def _figures(out: Path, cells: Iterable[Cell]) -> Iterator[Path]:
     for cell in cells:
         scenario, tracks = cell.scenario, cell.scenario.tracks
         if tracks is not None:
-            from aoabench.report import recording
-
-            anchors = scenario.true_anchors.position[0].reshape(-1, 3)[:, :2]
             import numpy as np
 
+            from aoabench.report import recording
+            from aoabench.report.text import shown_name
+
+            anchors = scenario.true_anchors.position[0].reshape(-1, 3)[:, :2]
             around = np.unique(anchors, axis=0), scenario.bounds_m
-            yield from recording.write(out, cell.id, list(cell.estimators), tracks, *around)
+            names = {n: shown_name(n, e.causal) for n, e in cell.estimators.items()}
+            yield from recording.write(out, cell.id, names, tracks, *around)

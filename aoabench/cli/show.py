@@ -14,7 +14,7 @@ from aoabench.cli.outcomes import not_ok, not_ok_text
 from aoabench.cli.tags import tags, tags_text, told
 from aoabench.columns import SUMMARY
 from aoabench.report.tails import heavy_tails, heavy_tails_text
-from aoabench.report.text import interval_text
+from aoabench.report.text import NON_CAUSAL, interval_text, shown_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,6 +85,8 @@ def run_text(found: Finished) -> Iterator[str]:
             "pooled: over all fixes; mean, median: of the replications' RMSE, mean as in compare; "
             f"[95 % interval{', clustered by position but of the median' if clustered else ''}]"
         )
+    if not found.summary["causal"].all():
+        yield NON_CAUSAL
     yield from tags_text(told(tags(out, found.cells)))
     yield from heavy_tails_text(heavy_tails(found.summary))
     yield from not_ok_text(not_ok(found.summary))
@@ -117,6 +119,7 @@ def _table(found: Finished, mine: pd.DataFrame) -> str:
     """A line for each cell and estimator, with the parameters that differ between cells."""
     swept = [c for c in found.parameters if mine[c].nunique(dropna=False) > 1]
     shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
+    shown["estimator"] = [shown_name(*row) for row in zip(mine["estimator"], mine["causal"])]
     for name, title in _RMSE.items():
         three = zip(mine[name], mine[f"{name}_low"], mine[f"{name}_high"])
         shown[title] = [interval_text(*values) for values in three]

@@ -7,21 +7,22 @@ from pathlib import Path
 from typing import Any
 
 from aoabench.cell import Cell
+from aoabench.report.text import shown_name
 
 _MOST_LINES = 40
 
 
 def tags(out: Path, cells: Mapping[str, Cell]) -> list[dict[str, Any]]:
-    """An object for each tag, method and cell of recordings: cell, estimator, and the fields of
-    store.tracks.by_tag.
+    """An object for each tag, method and cell of recordings: cell, estimator, causal, and the
+    fields of store.tracks.by_tag.
     """
     from aoabench.store.tracks import by_tag
 
     return [
-        {"cell": cell.id, "estimator": name, **row}
+        {"cell": cell.id, "estimator": name, "causal": estimator.causal, **row}
         for cell in cells.values()
         if cell.scenario.tracks is not None
-        for name in cell.estimators
+        for name, estimator in cell.estimators.items()
         for row in by_tag(out, cell.id, name)
     ]
 
@@ -44,7 +45,8 @@ def tags_text(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     if not rows:
         return
     frame = pd.DataFrame(rows[:_MOST_LINES])
-    shown = frame[["estimator"]].copy()
+    names = [shown_name(*row) for row in zip(frame["estimator"], frame["causal"])]
+    shown = pd.DataFrame({"estimator": names})
     if frame["cell"].nunique() > 1:
         shown.insert(0, "cell", frame["cell"])
     if frame["tag"].notna().any():

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from aoabench.errors import UserError
+from aoabench.report.text import shown_name
 from aoabench.roles import Estimator
 from aoabench.scenarios.recorded import Recorded
 
@@ -87,7 +88,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Asked:
-    """A recording and the method that locates its tags; name: the method's preset."""
+    """A recording and the method that locates its tags; name: the method's name to show."""
 
     cell: Cell
     scenario: Recorded
@@ -100,4 +101,4 @@ class Asked:
         if not isinstance(cell.scenario, Recorded):
             raise UserError(f"scenario={cell.scenario_name}: `locate` reads recordings alone")
         ((name, method),) = cell.estimators.items()
-        return cls(cell, cell.scenario, name, method)
+        return cls(cell, cell.scenario, shown_name(name, method.causal), method)

@@ -4,6 +4,7 @@
     id                                    a text, each once; without the column 1, 2, 3, ...
     z_m                                   m; without the column 0; with degrees also height_m
     facing_deg, pitch_deg, roll_deg       deg; without the column 0
+    bearing_deg                           deg clockwise from north (+y), in place of facing_deg
     clock_offset_s                        s that the anchor's clock is ahead; without the column 0
 
 Rz(facing) Ry(pitch) Rx(roll) turns the global axes into the anchor's. With facing alone, local x
@@ -16,16 +17,16 @@ A positioning_config.json of Silicon Labs is read too (`devices.locators`).
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from aoabench.devices.columns import header, shown_columns
 from aoabench.devices.geodesy import Origin, check_degrees, degree_columns
-from aoabench.devices.locators import read_locators
+from aoabench.devices.locators import is_config, read_locators
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, did_you_mean
 from aoabench.maths.geometry import Array, euler
@@ -34,14 +35,16 @@ from aoabench.types import Anchors
 REQUIRED = ("x_m", "y_m")
 ANGLES = ("facing_deg", "pitch_deg", "roll_deg")
 DEGREES = ("lat_deg", "lon_deg", "height_m")
-COLUMNS = ("id", *REQUIRED, "z_m", *ANGLES, "clock_offset_s")
+LOCAL = (*REQUIRED, "z_m")
+COMPASS = "bearing_deg"
+COLUMNS = ("id", *LOCAL, *ANGLES, "clock_offset_s", COMPASS)
 SCHEMA = (
     "a CSV or Parquet file of anchors with the columns x_m, y_m and, where needed, "
     "id (else 1, 2, ...), z_m, facing_deg, pitch_deg, roll_deg, clock_offset_s (else 0), each "
-    "once; or lat_deg, lon_deg in place of x_m, y_m"
+    "once; or lat_deg, lon_deg in place of x_m, y_m, and bearing_deg (clockwise from north) in "
+    "place of facing_deg"
 )
 MOST_DEG = 360.0
-_COMPASS = " (90 deg - a compass bearing)"
 # what people call an optional column; such a column is never left out in silence
 _OTHER_WORDS = {
     "z_m": ("z", "height", "altitude"),
@@ -83,30 +86,23 @@ class AnchorsFile(NamedTuple):
 
 
 def read_anchors(key: str, path: str, origin: Origin | None = None) -> AnchorsFile:
-    """The anchors of a CSV or Parquet file in the columns above, or of a positioning_config.json;
-    other columns are not read.
+    """The anchors of a table in the columns above, or of a positioning_config.json; other columns
+    are not read.
 
     Degrees are converted to local coordinates at `origin`, or at the anchors' centroid. Raises
     BadValue for a missing or repeated column, for a column that looks like a misspelt one, for
     cells that are not numbers, and for angles beyond +-360 deg.
     """
-    if Path(path).suffix.lower() == ".json":
+    if is_config(path):
         return AnchorsFile(*read_locators(key, path), origin=origin)
-    present = header(key, path)
-    named = _columns(key, path, present)
+    named = _columns(key, path, header(key, path))
     table = Table.read(key, path, named)
     n = len(table.frame)
     ids = _ids(table) if "id" in named else [str(i + 1) for i in range(n)]
-
-    def numbers(name: str) -> Array:
-        return table.numbers(name, empty=False) if name in named else np.zeros(n)
-
-    turns = [numbers(name) for name in ANGLES]
-    for name, turn in zip(ANGLES, turns):
-        if name in named:
-            table.check(name, np.abs(turn) > MOST_DEG, f"{name} within +-{MOST_DEG:g} deg")
-    facing, pitch, roll = np.deg2rad(turns)
-    places = [numbers(name) for name in (DEGREES if "lat_deg" in named else (*REQUIRED, "z_m"))]
+    facing, pitch, roll = (_numbers(table, name, MOST_DEG) for name in ANGLES)
+    if COMPASS in named:
+        facing = 90.0 - _numbers(table, COMPASS, MOST_DEG)
+    places = [_numbers(table, name) for name in (DEGREES if "lat_deg" in named else LOCAL)]
     assumed = "lat_deg" in named and origin is None
     notes: list[str] = []
     if assumed:
@@ -116,16 +112,26 @@ def read_anchors(key: str, path: str, origin: Origin | None = None) -> AnchorsFi
     if "lat_deg" in named and origin is not None:
         check_degrees(key, path, places[0], places[1], origin)
         places = list(origin.local(*places).T)
+    turns = np.deg2rad(facing), np.deg2rad(pitch), np.deg2rad(roll)
     return AnchorsFile(
         ids,
-        Anchors(np.stack(places, axis=-1), _rotations(facing, pitch, roll)),
-        facing if "facing_deg" in named else None,
-        (*notes, *_doubts(path, turns[0]), *_high(path, *places)),
+        Anchors(np.stack(places, axis=-1), _rotations(*turns)),
+        turns[0] if {"facing_deg", COMPASS} & set(named) else None,
+        (*table.notes, *notes, *_doubts(path, facing), *_high(path, *places)),
         "id" not in named,
-        numbers("clock_offset_s") if "clock_offset_s" in named else None,
+        _numbers(table, "clock_offset_s") if "clock_offset_s" in named else None,
         origin,
         assumed,
     )
+
+
+def _numbers(table: Table, name: str, most: float = math.inf) -> Array:
+    """A column (B,) of numbers within +-most, 0 where the table lacks it."""
+    if name not in table.names:
+        return np.zeros(len(table.frame))
+    found = table.numbers(name, empty=False)
+    table.check(name, np.abs(found) > most, f"{name} within +-{most:g} deg")
+    return found
 
 
 def _rotations(facing: Array, pitch: Array, roll: Array) -> Array:
@@ -150,6 +156,8 @@ def _columns(key: str, path: str, present: Sequence[str]) -> dict[str, str]:
             hint = _hint(name, [one for one in present if one not in COLUMNS])
             raise BadValue(key, path, f"{SCHEMA}; it has {shown_columns(present)}{hint}")
     named = {name: name for name in COLUMNS if name in present}
+    if COMPASS in named and "facing_deg" in named:
+        raise BadValue(key, path, f"either facing_deg or {COMPASS}; it has both")
     if degrees is not None:
         if "z_m" in present and degrees[2] != "z_m":
             raise BadValue(key, path, f"one column of heights; it has {degrees[2]} and z_m")
@@ -165,10 +173,10 @@ def _check_similar(key: str, path: str, present: Sequence[str], named: Mapping[s
         word = re.split(r"[ _(\[]", column.strip().lower())[0]
         for name, words in _OTHER_WORDS.items():
             if name not in named and column not in named.values() and word in words:
-                compass = word in ("heading", "bearing")
+                other = " (bearing_deg if clockwise from north)" if name == "facing_deg" else ""
                 allowed = (
                     f"{SCHEMA}; it has {column!r}, which is not read: "
-                    f"call it {name} if it is that{_COMPASS * compass}, or else by another word"
+                    f"call it {name} if it is that{other}, or else by another word"
                 )
                 raise BadValue(key, path, allowed)
 

@@ -43,7 +43,8 @@ def dialect_of(text: bytes, key: str, path: str, given: Reading) -> Dialect:
     names of columns and for bytes that are not UTF-8.
     """
     lines = first_lines(text)
-    start = next((i for i, line in enumerate(lines) if not is_void(line)), None)
+    start = _next(lines, -1)
+    start = start if start is None else _past_comments(lines, start)
     mark = given.separator
     if start is not None and (stated := _SEP_LINE.match(lines[start])):
         mark, start = mark or stated[1], _next(lines, start)
@@ -77,6 +78,12 @@ def first_lines(text: bytes) -> list[str]:
     if size < len(text):
         head = head[: head.rfind(b"\n") + 1]
     return head.decode().splitlines()
+
+
+def shows_marks(head: bytes) -> bool:
+    """Whether a text has a second line, comments apart, so that its marks can be recognised."""
+    lines = head.decode(errors="replace").splitlines()
+    return sum(not (is_void(x) or _COMMENT.match(x) or _SEP_LINE.match(x)) for x in lines) > 1
 
 
 def is_void(line: str) -> bool:

@@ -40,10 +40,13 @@ def cut(walls: Array, doors: Sequence[Door]) -> tuple[Array, int]:
                     hit = hit or opened
                     cuts.setdefault(j, []).extend([shape] * opened)
         unused += not hit
-    left = []
-    for j, wall in enumerate(walls):
-        left.append(_rest(lines[j], cuts[j]) if j in cuts else wall[None])
-    return np.concatenate([np.empty((0, 2, 2)), *left]), unused
+    rest = {j: _rest(lines[j], areas) for j, areas in cuts.items()}
+    counts = np.ones(len(walls), dtype=int)
+    counts[list(rest)] = [len(pieces) for pieces in rest.values()]
+    left, first = np.repeat(walls, counts, axis=0), np.cumsum(counts) - counts
+    for j, pieces in rest.items():
+        left[first[j] : first[j] + len(pieces)] = pieces
+    return left, unused
 
 
 def _shapes(door: Door, walls: Array, tree: Any) -> list[tuple[Any, Array | None]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -41,12 +42,16 @@ class Drawing:
     ignored: Counter[str] = field(default_factory=Counter)
     notes: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def segments(self) -> Array:
         """The lines' segments (W, 2, 2), without those of length 0."""
-        pairs = [np.stack([line[:-1], line[1:]], axis=1) for line in self.lines]
-        found = np.concatenate([np.empty((0, 2, 2)), *pairs])
-        return np.asarray(found[(found[:, 0] != found[:, 1]).any(axis=-1)])
+        if not self.lines:
+            return np.empty((0, 2, 2))
+        points = np.concatenate(self.lines)
+        found = np.stack([points[:-1], points[1:]], axis=1)
+        inner = np.ones(len(found), dtype=bool)
+        inner[np.cumsum([len(line) for line in self.lines])[:-1] - 1] = False
+        return np.asarray(found[inner & (found[:, 0] != found[:, 1]).any(axis=-1)])
 
     def mapped(self, change: Callable[[Array], Array]) -> Drawing:
         """The drawing with all points (K, 2) changed to points (K, 2)."""

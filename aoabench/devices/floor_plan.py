@@ -127,19 +127,20 @@ class FloorPlan:
         return tuple(found)
 
     def crossings(self, path: Array) -> tuple[str, ...]:
-        """A remark on the walls that a path (N, 2) m goes through, if any."""
+        """A remark on the walls that a path (N, 2) m goes through or touches, if any."""
         import shapely
 
         if self.plan is None or len(path) < 2:
             return ()
         way, walls = shapely.LineString(path), shapely.linestrings(self.plan.walls)
-        through = walls[shapely.STRtree(walls).query(way, predicate="crosses")]
+        through = walls[shapely.STRtree(walls).query(way, predicate="intersects")]
         if not len(through):
             return ()
         places = shapely.points(shapely.get_coordinates(shapely.intersection(through, way)))
         first = places[int(np.argmin(shapely.line_locate_point(way, places)))]
-        where = f"{len(through)} walls, first near ({first.x:.4g}, {first.y:.4g})"
-        return (f"the route goes through {where}: walls hide access nodes, not the way",)
+        where = f"at {len(places)} places, first near ({first.x:.4g}, {first.y:.4g})"
+        line = f"the route goes through or touches walls {where}"
+        return (f"{line}: walls hide access nodes, not the way",)
 
     def _ids(self, which: Sequence[int] | np.ndarray) -> str:
         """The ids of some anchors, at most ten of them."""

@@ -44,7 +44,11 @@ def opened(key: str, path: Any, given: Reading = AUTO) -> Content:
 
 def _opened(key: str, path: Any, files: Sequence[str], given: Reading) -> Content:
     folder = path if isinstance(path, str) and os.path.isdir(path) else ""
-    found = [widened(_one(key, file, given, folder), given.patterns) for file in files]
+    labels = [f"{stem(file)} " if len(files) > 1 else "" for file in files]
+    found = [
+        widened(_one(key, file, given, folder), given.patterns, label)
+        for file, label in zip(files, labels)
+    ]
     whole = found[0]
     if len(found) > 1:
         whole = several(key, path, found, files)

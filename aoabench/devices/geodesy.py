@@ -76,6 +76,11 @@ class Origin:
         height = across * cosine + Z * sine - AXIS_M * np.sqrt(1 - _E2 * sine**2)
         return np.stack([np.rad2deg(lat), np.rad2deg(np.arctan2(Y, X)), height], axis=-1)
 
+    def is_near(self, lat_deg: float, lon_deg: float) -> bool:
+        """Whether a point may belong to the site of this origin."""
+        here = self.local(np.array(lat_deg), np.array(lon_deg))
+        return bool(np.linalg.norm(here) <= FAR_M)
+
     @property
     def _axes(self) -> Array:
         """The local axes (3, 3), rows east, north, up, in coordinates from the earth's centre."""

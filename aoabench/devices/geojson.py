@@ -28,6 +28,7 @@ _DEPTH = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "P
           "MultiPolygon": 3}  # fmt: skip
 _NOWHERE = "without a geometry"
 _WORDS = ("feature_type", "category", "type", "indoor", "class", "layer", "Layer")
+_LEVELS = ("level", "level_id", "floor")
 _WIDTHS = ("width_m", "width", "door:width")
 
 
@@ -56,6 +57,12 @@ class _Part(NamedTuple):
         return {word.strip().lower() for word in words if isinstance(word, str)}
 
     @property
+    def level(self) -> str:
+        """The floor that the feature belongs to, or an empty text."""
+        stated = (self.properties.get(name) for name in _LEVELS)
+        return next((str(level) for level in stated if level is not None), "")
+
+    @property
     def width_m(self) -> float | None:
         """The stated width of a door, or None."""
         for name in _WIDTHS:
@@ -68,8 +75,9 @@ class _Part(NamedTuple):
         return None
 
 
-def read_drawing(text: str, layers: Collection[str] | None = None) -> Drawing:
-    """The content of a GeoJSON text; `layers` are the words of the features to read, None: all.
+def read_drawing(text: str, file: str, layers: Collection[str] | None = None) -> Drawing:
+    """The content of a GeoJSON text, which remarks call `file`; `layers` are the words of the
+    features to read, None: all.
 
     Raises ValueError for content that is not GeoJSON or has broken coordinates; its message says
     what is allowed.
@@ -100,9 +108,9 @@ def read_drawing(text: str, layers: Collection[str] | None = None) -> Drawing:
             visited += _areas(part)
         else:
             lines += _lines(part)
-            levels[str(part.properties.get("level", ""))] = None
+            levels[part.level] = None
     names = [level for level in levels if level]
-    notes = (f"the levels {listed(names)} are read as one floor",) if len(names) > 1 else ()
+    notes = (f"{file}: the levels {listed(names)} are read as one floor",) if len(names) > 1 else ()
     node = _mapping(content)
     unit = node.get("units")
     stated = unit if unit is None or isinstance(unit, str) else repr(unit)

@@ -7,10 +7,12 @@ import re
 from dataclasses import replace
 
 from aoabench.devices.delimited import Delimited, following
+from aoabench.devices.dialects import shows_marks
 from aoabench.devices.foreign import reason_of
 from aoabench.devices.formats import DEVICES, looks_like, text_content
 from aoabench.devices.reading import AUTO, Content, Reading, Rows
 from aoabench.devices.sources import KINDS
+from aoabench.devices.stamps import DAY_S
 from aoabench.devices.wide import widened
 from aoabench.errors import BadValue
 
@@ -31,6 +33,8 @@ class Live:
         self._line = 1  # the number of the first line of the rest
         self._format = "" if given.format == "auto" else given.format
         self._first: Delimited | None = None
+        self._time_s: float | None = None
+        self._days = 0
 
     def feed(self, piece: bytes) -> Content | None:
         """The rows that are whole with this piece, or None if no row is.
@@ -52,7 +56,7 @@ class Live:
         if not self._format:
             head = self._rest[: self._rest.rfind(b"\n") + 1]
             looks = looks_like(head.decode(errors="replace"))
-            if looks == "table" and sum(bool(one.strip()) for one in head.splitlines()) < 2:
+            if looks == "table" and not shows_marks(head):
                 return b""  # a header alone shows neither separator nor decimal mark
             self._format = looks
         end = self._rest.rfind(b"\n") + 1
@@ -78,7 +82,7 @@ class Live:
 
     def _parsed(self, whole: bytes, line: int) -> Content:
         if device := DEVICES.get(self._format):
-            return device(whole.decode(errors="replace"), self._path, line)
+            return self._timed(device(whole.decode(errors="replace"), self._path, line))
         if self._first is not None:
             return following(self._first, whole, line)
         given = replace(self._given, format="auto")
@@ -87,4 +91,13 @@ class Live:
             return replace(found, parts=(found.parts[0]._replace(first=line),))
         if isinstance(found, Delimited):
             self._first = found
+        return found
+
+    def _timed(self, found: Rows) -> Rows:
+        """The rows with times of day that go on after midnight, from one piece to the next."""
+        if "time_s" in found.columns and len(times := found.frame["time_s"].dropna()):
+            if self._time_s is not None and times.iloc[0] < DAY_S:
+                self._days += round((self._time_s - self._days * DAY_S - times.iloc[0]) / DAY_S)
+                found.frame["time_s"] += self._days * DAY_S
+            self._time_s = found.frame["time_s"].dropna().iloc[-1]
         return found

@@ -28,6 +28,14 @@ MOST_DEG = 360.0
 _LEVEL = 0.1  # horizontal part of a look direction below which a locator faces up or down
 
 
+def is_config(path: str) -> bool:
+    """Whether a .json file has locators, and not a table of anchors."""
+    file = Path(path)
+    if file.suffix.lower() != ".json" or not file.is_file():
+        return False
+    return b'"locators"' in loaded.read(file)[0]
+
+
 def read_locators(key: str, path: str) -> tuple[list[str], Anchors, Array | None, tuple[str, ...]]:
     """The locators' ids, the anchors (1, 1, B, ...), the directions (B,) rad that they face, seen
     from above, None if one faces up or down, and remarks to print.

@@ -1,8 +1,8 @@
 """Walls of floor plans from GeoJSON, CSV or DXF, as local coordinates in m.
 
 A file is looked for in the working folder first, then among the shipped plans. Coordinates are
-local, in m or in a declared unit, or geodetic, where they are declared to be. Every mistake in a
-file raises BadValue with the key, the file and the allowed content.
+local, in m or in a declared unit, or geodetic, where they are declared to be or an origin is known
+near them. Every mistake in a file raises BadValue with the key, the file and the allowed content.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ import numpy as np
 
 from aoabench import loaded
 from aoabench.devices import dxf, geojson
+from aoabench.devices.columns import header, shown_columns
 from aoabench.devices.doors import WIDTH_M, cut
 from aoabench.devices.drawing import UNITS, Drawing
 from aoabench.devices.geodesy import Origin, check_degrees, from_projected, names_wgs84
+from aoabench.devices.sources import text_of
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, shorten
 from aoabench.maths.geometry import Array
@@ -25,7 +27,9 @@ from aoabench.resources import shipped
 
 WALL_COLUMNS = ("x0_m", "y0_m", "x1_m", "y1_m")
 LEAST_M = 1.0  # extent below which a plan within the range of degrees is not taken for one in m
-FORMS = "a file .geojson (or .json), .csv or .dxf"
+SAME_M = 1e-4  # corners of two walls nearer than this are one
+TABLES = (".csv", ".tsv", ".txt", ".xlsx", ".parquet", ".pq")
+FORMS = "a file .geojson (or .json), .csv (or another table) or .dxf (save .dwg as .dxf)"
 
 
 class Plan(NamedTuple):
@@ -75,10 +79,11 @@ def read_plan(key: str, path: Path, frame: Frame | None = None) -> Plan:
     other forms. Doors are cut out of the walls.
 
     Raises BadValue for coordinates that are, or look like, degrees and are not declared, for
-    degrees without an origin, and for a file that states another unit.
+    degrees without an origin, and for a file that states another unit. Coordinates that look like
+    degrees near a known origin are degrees.
     """
     frame = frame or Frame()
-    drawing = _drawing(key, path, frame.layers)
+    drawing = _drawing(key, path, frame)
     if not len(drawing.segments):
         doors = f"{len(drawing.doors)} doors" if drawing.doors else ""
         content = ", ".join(filter(None, (doors, drawing.others)))
@@ -89,7 +94,7 @@ def read_plan(key: str, path: Path, frame: Frame | None = None) -> Plan:
     if unit is None and not geodetic and drawing.default_unit not in (None, "m"):
         unit = drawing.default_unit
     local = (_projected if geodetic else _scaled)(key, path, drawing, frame._replace(unit=unit))
-    walls, unused = cut(local.segments, local.doors)
+    walls, unused = cut(_once(local.segments), local.doors)
     area = sum(geojson.enclosed(rings) for rings in local.visited) if local.visited else None
     lines = _notes(local, unused)
     if unit != frame.unit:
@@ -98,12 +103,29 @@ def read_plan(key: str, path: Path, frame: Frame | None = None) -> Plan:
         lines.append(
             f"read in {unit or 'm'}, as declared; the drawing states {drawing.default_unit}"
         )
-    return Plan(walls, area, tuple(f"{path.name}: {line}" for line in lines), unit, geodetic)
+    notes = (*local.notes, *(f"{path.name}: {line}" for line in lines))
+    return Plan(walls, area, notes, unit, geodetic)
+
+
+def _once(walls: Array) -> Array:
+    """The walls (W, 2, 2) m without those that equal an earlier one, such as that of the next room,
+    within SAME_M.
+    """
+    ends = np.rint(walls / SAME_M).astype(np.int64)
+    flip = (ends[:, 0, 0] > ends[:, 1, 0]) | (
+        (ends[:, 0, 0] == ends[:, 1, 0]) & (ends[:, 0, 1] > ends[:, 1, 1])
+    )
+    ends[flip] = ends[flip][:, ::-1]
+    flat = ends.reshape(-1, 4)
+    order = np.lexsort((np.arange(len(flat)), *flat.T))  # equal ones in the order of the file
+    new = np.ones(len(flat), dtype=bool)
+    new[1:] = (flat[order[1:]] != flat[order[:-1]]).any(axis=1)
+    return np.asarray(walls[np.sort(order[new])])
 
 
 def _notes(drawing: Drawing, unused: int) -> list[str]:
     """Remarks on a drawing in m, of whose doors `unused` open no wall."""
-    found, doors = list(drawing.notes), drawing.doors
+    found, doors = [], drawing.doors
     if doors:
         wide = sum(len(door.points) == 1 and door.width_m is None for door in doors)
         assumed = f"; {wide} of no stated width are {WIDTH_M:g} m wide" * bool(wide)
@@ -115,18 +137,18 @@ def _notes(drawing: Drawing, unused: int) -> list[str]:
     return found
 
 
-def _drawing(key: str, path: Path, layers: Sequence[str] | None) -> Drawing:
+def _drawing(key: str, path: Path, frame: Frame) -> Drawing:
     """The content of a file, in its own coordinates."""
     kind = path.suffix.lower()
-    if kind == ".csv":
+    if kind in TABLES:
         table = Table.read(key, str(path), {name: name for name in _columns(key, path)})
         ends = np.stack([table.numbers(name, empty=False) for name in WALL_COLUMNS], axis=-1)
-        return Drawing(list(ends.reshape(-1, 2, 2)))
+        return Drawing(list(ends.reshape(-1, 2, 2)), notes=table.notes)
     try:
         if kind in (".geojson", ".json"):
-            return geojson.read_drawing(_text(key, path), layers)
+            return geojson.read_drawing(_text(key, path), path.name, frame.layers)
         if kind == ".dxf":
-            return dxf.read_drawing(loaded.read(path)[0], layers)
+            return dxf.read_drawing(loaded.read(path)[0], path.name, frame.layers, frame.unit)
     except ValueError as error:
         raise BadValue(key, str(path), str(error)) from None
     raise BadValue(key, str(path), FORMS)
@@ -155,6 +177,8 @@ def _is_geodetic(key: str, path: Path, drawing: Drawing, frame: Frame) -> bool:
     extent = float(np.ptp(points, axis=0).max())
     if extent < LEAST_M and np.all(np.abs(points) <= [180, 90]):
         x, y = points[0]
+        if frame.origin is not None and frame.origin.is_near(y, x):
+            return True
         allowed = (
             f"walls in m; these span {extent:.3g} near ({x:.6g}, {y:.6g}), which looks like "
             "degrees of longitude and latitude: scenario.walls_crs=wgs84 if they are, or "
@@ -208,17 +232,15 @@ def _projected(key: str, path: Path, drawing: Drawing, frame: Frame) -> Drawing:
 
 def _text(key: str, path: Path) -> str:
     try:
-        return loaded.read(path)[0].decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError):
-        raise BadValue(key, str(path), "a readable file in UTF-8") from None
+        return text_of(path).decode()
+    except (OSError, ValueError):
+        raise BadValue(key, str(path), "a readable file in UTF-8 or UTF-16") from None
 
 
 def _columns(key: str, path: Path) -> Sequence[str]:
-    """The columns of walls; raises BadValue unless a CSV file has each of them once."""
-    from aoabench.devices.columns import header, shown_columns
-
+    """The columns of walls; raises BadValue unless a table has each of them once."""
     present = header(key, str(path))
     if any(present.count(name) != 1 for name in WALL_COLUMNS):
-        allowed = f"a CSV file with the columns {', '.join(WALL_COLUMNS)}, each once"
+        allowed = f"a table with the columns {', '.join(WALL_COLUMNS)}, each once"
         raise BadValue(key, str(path), f"{allowed}; it has {shown_columns(present)}")
     return WALL_COLUMNS

@@ -1,7 +1,8 @@
-"""Routes from CSV (x_m, y_m, or lat_deg, lon_deg) or GPX: a row, or a point, for each waypoint.
+"""Routes from CSV or GPX: a row, or a point, for each waypoint.
 
-Of a GPX file its routes are read, without any its tracks, without any its waypoints. Heights and
-times are not read.
+A table has the columns x_m, y_m and, where known, z_m, or lat_deg, lon_deg and height_m. Of a GPX
+file its routes are read, without any its tracks, without any its waypoints. Its heights count from
+the sea; they and its times are not read.
 """
 
 from __future__ import annotations
@@ -26,11 +27,14 @@ SAME_M = 0.01  # waypoints nearer to the one before are left out
 
 
 class Route(NamedTuple):
-    """Waypoints (K, 2) m, whether the file has them in degrees, and remarks to print."""
+    """Waypoints (K, 2) m, whether the file has them in degrees, remarks to print, and heights (K,)
+    m, or None.
+    """
 
     points: Array
     geodetic: bool
     notes: tuple[str, ...] = ()
+    heights: Array | None = None
 
 
 def waypoints(key: str, route: Sequence[Sequence[float]] | str, anchors: AnchorsFile) -> Route:
@@ -56,10 +60,11 @@ def read_route(key: str, path: Path, origin: Origin | None) -> Route:
     two waypoints.
     """
     kind = path.suffix.lower()
-    if kind not in (".csv", ".gpx"):
+    if kind not in (*plan.TABLES, ".gpx"):
         raise BadValue(key, str(path), "waypoints [x, y] in m, or a file .csv or .gpx")
-    geodetic, points = _gpx(key, path) if kind == ".gpx" else _csv(key, path)
-    if geodetic:
+    raw = Route(_gpx(key, path), geodetic=True) if kind == ".gpx" else _table(key, path)
+    points, heights = raw.points, raw.heights
+    if raw.geodetic:
         lat, lon = points.T
         check_degrees(key, str(path), lat, lon, origin)
         if origin is None:
@@ -68,13 +73,15 @@ def read_route(key: str, path: Path, origin: Origin | None) -> Route:
                 f"and the anchors are in m; the centre of {path.name}: {Origin.amid(lat, lon)}"
             )
             raise BadValue("origin_deg", None, allowed)
-        points = origin.local(lat, lon)[:, :2]
+        local = origin.local(lat, lon, 0.0 if heights is None else heights)
+        points, heights = local[:, :2], None if heights is None else local[:, 2]
     keep = _distinct(points)
     if keep.sum() < 2:
         raise BadValue(key, str(path), "two or more different waypoints")
     left = int((~keep).sum())
     line = f"{path.name}: {left} waypoints less than {SAME_M:g} m from the one before are left out"
-    return Route(points[keep], geodetic, (line,) if left else ())
+    notes = (*raw.notes, line) if left else raw.notes
+    return Route(points[keep], raw.geodetic, notes, None if heights is None else heights[keep])
 
 
 def _distinct(points: Array) -> np.ndarray:
@@ -87,21 +94,25 @@ def _distinct(points: Array) -> np.ndarray:
     return keep
 
 
-def _csv(key: str, path: Path) -> tuple[bool, Array]:
-    """Whether a table's waypoints (K, 2) are latitudes and longitudes, and the waypoints."""
+def _table(key: str, path: Path) -> Route:
+    """The route in a table, in m or in latitudes and longitudes."""
     present = header(key, str(path))
     local = all(present.count(name) == 1 for name in ("x_m", "y_m"))
     degrees = degree_columns(present)
     if not local and degrees is None:
-        allowed = "a CSV file with the columns x_m, y_m, or lat_deg, lon_deg"
+        allowed = "a table with the columns x_m, y_m, or lat_deg, lon_deg"
         raise BadValue(key, str(path), f"{allowed}; it has {shown_columns(present)}")
-    names = ("x_m", "y_m") if local or degrees is None else degrees[:2]
-    table = Table.read(key, str(path), {name: name for name in names})
-    return not local, np.stack([table.numbers(name, empty=False) for name in names], axis=-1)
+    names = ["x_m", "y_m"] if local or degrees is None else list(degrees[:2])
+    height = "z_m" if "z_m" in present else None if local or degrees is None else degrees[2]
+    columns = names if height is None else [*names, height]
+    table = Table.read(key, str(path), {name: name for name in columns})
+    points = np.stack([table.numbers(name, empty=False) for name in names], axis=-1)
+    heights = None if height is None else table.numbers(height, empty=False)
+    return Route(points, not local, table.notes, heights)
 
 
-def _gpx(key: str, path: Path) -> tuple[bool, Array]:
-    """True, and the latitudes and longitudes (K, 2) deg of a GPX file's points."""
+def _gpx(key: str, path: Path) -> Array:
+    """The latitudes and longitudes (K, 2) deg of a GPX file's points."""
     try:
         root = ElementTree.fromstring(loaded.read(path)[0])
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -123,4 +134,4 @@ def _gpx(key: str, path: Path) -> tuple[bool, Array]:
             wrong = f"{name} {number} has lat={cells[0]!r}, lon={cells[1]!r}"
             raise BadValue(key, str(path), f"points with numbers lat and lon; {wrong}")
         found.append(pair)
-    return True, np.array(found)
+    return np.array(found)

@@ -16,7 +16,7 @@ _DATE = (
 _CLOCK = r"(?:^|[^\d:])(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d)[.,]?(?P<part>\d*)(?:[^\d:]|$)"
 _NUMBER = r"(?:^|[^\w.])(?P<n>\d{9,19}(?:\.\d+)?|\d+\.\d+)(?:[^\w.]|\.?$|\.[^\d])"
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # numbers above are since 1970 in this unit, s
-_DAY_S = 86400.0
+DAY_S = 86400.0
 
 
 def seconds(before: Any) -> Array | None:
@@ -48,8 +48,8 @@ def _clocks(groups: dict[str, Any]) -> Array:
     h, m, s = (numbers(groups[name]) for name in "hms")
     value = 3600 * h + 60 * m + s + _fraction(groups)
     steps = np.diff(value, prepend=value[:1])
-    days = np.cumsum((steps < -_DAY_S / 2).astype(int) - (steps > _DAY_S / 2))
-    return np.asarray(value + _DAY_S * days)
+    days = np.cumsum((steps < -DAY_S / 2).astype(int) - (steps > DAY_S / 2))
+    return np.asarray(value + DAY_S * days)
 
 
 def _fraction(groups: dict[str, Any]) -> Array:

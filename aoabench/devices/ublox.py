@@ -41,7 +41,7 @@ def is_ublox(head: str) -> bool:
 
 def ublox(text: str, path: str, first: int = 1) -> Rows:
     """The packets of a text whose first line has the number `first`; time_s only if the host's
-    times stand in front, sequence only where a line has it.
+    times stand in front, sequence and anchor only where a line has them.
     """
     import pandas as pd
 
@@ -51,8 +51,8 @@ def ublox(text: str, path: str, first: int = 1) -> Rows:
         index=pd.RangeIndex(len(rows)),
     )
     frame["anchor_time_s"] /= 1e3
-    if frame["sequence"].isna().all():
-        frame = frame.drop(columns="sequence")
+    absent = {"sequence": frame["sequence"].isna().all(), "anchor": (frame["anchor"] == "").all()}
+    frame = frame.drop(columns=[name for name, none in absent.items() if none])
     times = seconds(groups["before"])
     if times is not None:
         frame["time_s"] = times

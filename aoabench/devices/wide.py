@@ -1,7 +1,8 @@
 """Wide tables: a row per fix and columns per anchor, such as azimuth_A1, azimuth_A2.
 
 `azimuth_{anchor}` names such columns. A table is recognised as wide if it has no column `anchor`
-and its columns are called as below, in any order; a word or unit may be absent:
+and its columns are called as below, in any order; a word or unit may be absent. Where no column
+orders the rows, each row is a fix.
 
     azimuth_deg_A1   azimuth_A1_deg   A1_azimuth_deg   (and elevation, rssi, range, ..._sigma)
 """
@@ -29,6 +30,7 @@ _WORDS = {
     "range": ("range|distance|dist", ("m",)),
     "range_sigma": ("(?:range|distance|dist)_(?:sigma|std|stdev)", ("m",)),
 }
+_ORDER = re.compile(r"fix|time|t$|date|stamp|seq|epoch|mark|row|frame", re.I)
 _NO_IDS = re.compile(r"(?:sigma|std|stdev|true|truth|error|err|offset|deg|rad|dbm|m)(?:_.*)?", re.I)
 
 
@@ -40,6 +42,7 @@ class Wide(Content):
 
     wide: Content = None  # type: ignore[assignment]
     patterns: Mapping[str, str] = ()  # type: ignore[assignment]
+    label: str = ""  # in front of the numbers of fixes
 
     def cells(self, names: Mapping[str, str]) -> pd.DataFrame:
         """The chosen columns; with a row per row and anchor of the wide table if one of them is
@@ -55,6 +58,7 @@ class Wide(Content):
         chosen = {f"{ours}/{i}": self._column(theirs, i) for ours, theirs in long.items()
                   for i in ids if self._has(self._column(theirs, i))}  # fmt: skip
         cells = self.wide.cells(own | chosen)
+        own |= self._numbered(cells, names)
         blocks = []
         for i in ids:
             block = {o: cells[f"{o}/{i}"] for o in long if f"{o}/{i}" in chosen}
@@ -74,6 +78,13 @@ class Wide(Content):
     def shown(self, name: str) -> str:
         return name if self._has(name) else self.patterns.get(name, name)
 
+    def _numbered(self, cells: pd.DataFrame, names: Mapping[str, str]) -> dict[str, str]:
+        """Number the rows in `cells` as fixes, if the table itself does not."""
+        found = {o: t for o, t in names.items() if t == "fix" and not self._has(t)}
+        for ours in found:
+            cells[ours] = self.label + (cells.index + 1).astype(str)
+        return found
+
     def _has(self, name: str) -> bool:
         return name in self.wide.columns
 
@@ -84,17 +95,20 @@ class Wide(Content):
         return any(self._has(self._column(theirs, anchor)) for theirs in long.values())
 
 
-def widened(content: Content, patterns: Sequence[str]) -> Content:
-    """The content with long columns if it is wide, by the given patterns or as recognised."""
+def widened(content: Content, patterns: Sequence[str], label: str = "") -> Content:
+    """The content with long columns if it is wide, by the given patterns or as recognised; `label`
+    stands in front of the numbers of fixes that the table does not have itself.
+    """
     columns = list(content.columns)
     found = {one: one for one in patterns if _ids(columns, {one: one})}
     if not found and "anchor" not in columns:
         found = _recognised(columns)
     if not found:
         return content
-    more = [*found, "anchor"]
+    ordered = any(_ORDER.match(name) for name in columns)
+    more = [*found, "anchor", *([] if ordered else ["fix"])]
     names = [*columns, *(name for name in more if name not in columns)]
-    return Wide(names, content.parts, content.notes, content.stated, content, found)
+    return Wide(names, content.parts, content.notes, content.stated, content, found, label)
 
 
 def _ids(columns: Sequence[str], patterns: Mapping[str, str]) -> list[str]:

@@ -28,9 +28,7 @@ class Inputs:
     @classmethod
     def of(cls, batch: Batch) -> Inputs:
         """The facts about a batch."""
-        unmeasured = np.isnan(batch.azimuth) & np.isnan(batch.elevation)
-        if batch.delay is not None:
-            unmeasured &= np.isnan(batch.delay)
+        unmeasured = _unmeasured(batch)
         shape = unmeasured.shape[:2]
         centre, extent = _layout(batch.layout.position)
         time = np.nan if batch.time is None else batch.time
@@ -73,6 +71,22 @@ class Inputs:
             cut = np.where(some[:, None, None] & _OF_Z, 0.0, P[suspect])
             suspect[suspect] = _larger(cut, limit[suspect])
         return np.asarray(suspect)
+
+
+def _unmeasured(batch: Batch) -> np.ndarray:
+    """Whether a place (R, T, B) of the batch has no azimuth, elevation or delay."""
+    found = np.isnan(batch.azimuth) & np.isnan(batch.elevation)
+    return found if batch.delay is None else found & np.isnan(batch.delay)
+
+
+def heard(batch: Batch) -> np.ndarray:
+    """The number (R, T) of different anchors that have an azimuth, an elevation or a delay."""
+    seen = ~_unmeasured(batch)
+    if batch.known is None and batch.anchor_id is not None:  # several places of an anchor
+        numbers = batch.anchor_id[0, 0]
+        each = [seen[..., numbers == one].any(axis=2) for one in np.unique(numbers)]
+        return np.asarray(np.sum(each, axis=0))
+    return np.asarray(seen.sum(axis=2))
 
 
 _OF_Z = np.array([[False, False, True], [False, False, True], [True, True, True]])

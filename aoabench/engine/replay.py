@@ -16,7 +16,7 @@ from aoabench.engine.draws import Draws
 from aoabench.engine.recording import Identity
 from aoabench.engine.tiles import tile_of, try_tile
 from aoabench.errors import UserError, did_you_mean
-from aoabench.roles import Scenario
+from aoabench.roles import Estimator, Scenario
 from aoabench.store import folder
 from aoabench.types import Batch, Estimates, Outcome
 
@@ -31,7 +31,8 @@ class Replay:
     anchor j (azimuth_<j>_rad, elevation_<j>_rad, delay_<j>_s, rssi_<j>_dbm); the columns of the
     estimator's own `trace`: innovation_<j>_<component>, ess.
     batch and truth (1, T, n) hold this replication alone. rmse_3d_m is computed now, stored_m is
-    stored in the run. error: the reason of a failure, or "". track: that of a recording.
+    stored in the run. error: the reason of a failure, or "". track: that of a recording. causal:
+    see `Estimator`.
     """
 
     run: Path
@@ -45,6 +46,7 @@ class Replay:
     rmse_3d_m: float
     stored_m: float
     error: str = ""
+    causal: bool = True
     track: Identity | None = None
 
     @property
@@ -75,21 +77,19 @@ def replay(
     method = as_estimator(construct(node, estimator, plugins), estimator)
     draws = Draws(scenario, noise, record["seed"])
     size = tile_of(method, scenario)
-    first = replication - replication % size
-    i = replication - first
+    first, i = replication - replication % size, replication % size
     truth, estimates, errors = try_tile(draws, method, first)
     _, batch = draws.tile(first, size)
     track = None if draws.tracks is None else Identity.of(draws.tracks, replication)
     columns = _named(track, batch) | _estimated(truth[i], estimates, i) | _measured(batch, i)
     if replication not in errors:
-        streams = draws.streams(tuple(range(first, first + size)))
-        traced = method.trace(batch, scenario, streams)
-        columns |= {name: np.asarray(value)[i] for name, value in traced.items()}
+        columns |= _traced(draws, method, batch, first, i)
     rmse = metrics.per_replication(estimates, truth[..., :3])["rmse_3d_m"][i]
     return Replay(
         run=run,
         record=record,
         estimator=estimator,
+        causal=method.causal,
         replication=replication,
         scenario=scenario,
         columns=columns,
@@ -100,6 +100,17 @@ def replay(
         error=errors.get(replication, ""),
         track=track,
     )
+
+
+def _traced(
+    draws: Draws, method: Estimator, batch: Batch, first: int, i: int
+) -> dict[str, np.ndarray]:
+    """The columns of the estimator's own trace in the tile's i-th replication; the tile begins at
+    the replication `first`.
+    """
+    numbers = tuple(range(first, first + tile_of(method, draws.scenario)))
+    traced = method.trace(batch, draws.scenario, draws.streams(numbers))
+    return {name: np.asarray(value)[i] for name, value in traced.items()}
 
 
 def _record(run: Path, cell: str | None) -> dict[str, Any]:

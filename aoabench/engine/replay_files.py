@@ -13,6 +13,7 @@ import pandas as pd
 from aoabench.devices import longtable
 from aoabench.engine.replay import Replay
 from aoabench.report import plots, trace
+from aoabench.report.text import shown_name
 from aoabench.store.files import provenance, schema, write_atomically, write_table
 
 
@@ -64,8 +65,9 @@ def _picture(replay: Replay, path: Path) -> Path:
     record, scenario, known = replay.record, replay.scenario, _has_truth(replay)
     result = f"RMSE {replay.rmse_3d_m:.3g} m" if known else _counted(replay)
     tag = "" if replay.track is None or replay.track.tag is None else f", tag {replay.track.tag}"
+    name = shown_name(replay.estimator, replay.causal)
     title = (
-        f"{record['scenario']}, {record['noise']}: {replay.estimator}, "
+        f"{record['scenario']}, {record['noise']}: {name}, "
         f"replication {replay.replication}{tag}, {result}"
     )
     anchors = scenario.true_anchors.position[0, 0]

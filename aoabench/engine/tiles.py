@@ -14,6 +14,7 @@ from typing import cast
 import numpy as np
 
 from aoabench.engine.draws import Draws, placed
+from aoabench.engine.inputs import heard
 from aoabench.engine.metrics import reasons
 from aoabench.errors import UserError
 from aoabench.roles import Estimator, Scenario
@@ -79,11 +80,19 @@ def call(
     """The estimator's estimates for a batch; only an estimator that needs the truth gets the true
     states (R, T, n).
     """
-    streams = draws.streams(replications)
-    if "truth" not in estimator.needs:
-        return estimator(batch, draws.scenario, streams)
-    with_truth = cast(Callable[..., Estimates], estimator)
-    return with_truth(batch, draws.scenario, streams, truth)
+    streams, needs = draws.streams(replications), estimator.needs
+    more = (truth,) if "truth" in needs else ()
+    found = cast(Callable[..., Estimates], estimator)(batch, draws.scenario, streams, *more)
+    return _counted(found, batch) if "motion" in needs else found
+
+
+def _counted(estimates: Estimates, batch: Batch) -> Estimates:
+    """A filter's estimates with the number of anchors that each step uses: all that are heard,
+    unless the filter states another number.
+    """
+    if not isinstance(estimates, Estimates) or estimates.anchors_used is not None:
+        return estimates
+    return replace(estimates, anchors_used=heard(batch).astype(float))
 
 
 def try_tile(

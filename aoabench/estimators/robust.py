@@ -10,9 +10,10 @@ height, those nearest to two lines, and those on a ray at its range. One of them
 anchors alone, as long as two anchors are good.
 
 A robust loss needs two measurements more than unknowns: with one, it cannot tell which is wrong.
-A fix with fewer, such as one of three azimuths alone, is the point nearest to the lines, or with
-ranges the minimum of the loss `normal`; with elevations, three anchors and even two at a known
-height have the redundancy. The loss `normal` has no such rule.
+Several packets of an anchor count once, as they share what is wrong with it. A fix with fewer, such
+as one of three azimuths alone, is the point nearest to the lines, or with ranges the minimum of the
+loss `normal`; with elevations, three anchors and even two at a known height have the redundancy.
+The loss `normal` has no such rule.
 
 Ranges (`Batch.delay` times the speed of light) need a positive deviation, and elevations or a known
 height: a range without both says nothing about how far a target of unknown height is in the plane.
@@ -119,7 +120,7 @@ class RobustLikelihood(Compiled, Estimator):
         """
         super().check(scenario, noise)
         given = noise.offers()
-        offered = {"elevation", "delay"} if given is None else given | scenario.offers()
+        offered = scenario.offers() | ({"elevation"} if given is None else given)
         ray = "elevation" in offered and self.elevation_sigma_deg is not None
         ranged = "delay" in offered and self.range_sigma_m is not None
         alone = ray + ranged + bool(np.isfinite(self._height(scenario))) >= 2
@@ -147,7 +148,7 @@ class RobustLikelihood(Compiled, Estimator):
         height = self._height(scenario)
         measured, batch = self._weighted(batch, np.isfinite(height))
         compiled = self.compiled(batch.anchors)
-        given = batch.anchors, measured, height
+        given = batch.anchors, measured, height, batch.numbers.astype(float)
         found = self._in_numpy(*given) if compiled is None else self._by_kernel(compiled, *given)
         p = found.position
         p[..., :2] = clipped(p[..., :2], scenario, self.clip)
@@ -201,19 +202,27 @@ class RobustLikelihood(Compiled, Estimator):
             weight = np.where(usable, 1.0 / np.square(sigma), 0.0)
         return np.where(usable, LIGHT * batch.delay, 0.0), weight
 
-    def _in_numpy(self, anchors: Anchors, measured: Measured, height: float) -> Found:
+    def _in_numpy(
+        self, anchors: Anchors, measured: Measured, height: float, numbers: Array
+    ) -> Found:
         """The fixes (R, T), by NumPy."""
         shape = measured[0].shape
         N = shape[0] * shape[1]
         arrays = [a.reshape(N, -1) for a in measured]
         s = np.broadcast_to(anchors.position, (*shape, 3)).reshape(N, -1, 3)
         R = np.broadcast_to(anchors.rotation, (*shape, 3, 3)).reshape(N, -1, 3, 3)
-        given = tuple(a if a.size else np.zeros((N, shape[2])) for a in arrays), (s, R), height
+        ids = np.broadcast_to(numbers, shape).reshape(N, -1)
+        given = tuple(a if a.size else np.zeros((N, shape[2])) for a in arrays), (s, R, ids), height
         found = fixes(*given, self.rho, self.tolerance_m, self.updates)
         return Found(*(a.reshape(*shape[:2], *a.shape[1:]) for a in found))
 
     def _by_kernel(
-        self, compiled: ModuleType, anchors: Anchors, measured: Measured, height: float
+        self,
+        compiled: ModuleType,
+        anchors: Anchors,
+        measured: Measured,
+        height: float,
+        numbers: Array,
     ) -> Found:
         """The fixes (R, T), by the compiled kernel."""
         shape, rho = measured[0].shape[:2], self.rho
@@ -221,7 +230,7 @@ class RobustLikelihood(Compiled, Estimator):
         count, score, used = np.empty((3, *shape))
         p, P = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
         found = Found(p, P, outcome, reason, count, score, used)
-        arrays = *measured, anchors.position, anchors.rotation
+        arrays = *measured, anchors.position, anchors.rotation, numbers
         given = [np.ascontiguousarray(a, dtype=float) for a in arrays]
         compiled.robust(rho.kind, rho.k, self.tolerance_m, self.updates, height, *given, *found)
         return found

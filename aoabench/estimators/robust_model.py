@@ -20,7 +20,9 @@ class Fixes(NamedTuple):
     """Angles (N, B) rad and ranges r (N, B) m of N fixes, and 1 / variance, all 0 where not
     measured; anchors s (N, B, 3) m from the centre of those used, rotations R (N, B, 3, 3);
     z (N,) m: the height of the fixes, if it is known or does not matter (flat); measured rays ahead
-    (N, B, 3); redundancy (N,): the number of angles and ranges less that of unknowns.
+    (N, B, 3); slot (N, B): the place of the anchor among those of the fix, -1 where not measured;
+    redundancy (N,): the number of angles and ranges less that of unknowns; different (N,): the same
+    with several of a kind by one anchor counted once.
     """
 
     phi: Array
@@ -34,7 +36,9 @@ class Fixes(NamedTuple):
     flat: np.ndarray
     z: Array
     ahead: Array
+    slot: np.ndarray
     redundancy: np.ndarray
+    different: np.ndarray
 
     def those(self, index: np.ndarray) -> Fixes:
         """The fixes with these indices."""
@@ -65,11 +69,12 @@ def flattened(A: Array, g: Array, flat: np.ndarray) -> None:
 
 
 def prepared(
-    measured: tuple[Array, ...], s: Array, R: Array, height: float
+    measured: tuple[Array, ...], s: Array, R: Array, height: float, numbers: Array | None = None
 ) -> tuple[Fixes, Lines, Array]:
     """Fixes, their lines and the centres (N, 3) m of the anchors used, from angles and weights
     (N, B), with ranges and their weights (N, B) if there are any, and anchors (N, B, ...);
-    `height` is NaN where the target's is not known.
+    `height` is NaN where the target's is not known; numbers (N, B) tell anchors apart, None: each
+    stands for itself.
     """
     phi, theta, wa, we, *ranges = measured
     r, wr = ranges or (np.zeros_like(wa), np.zeros_like(wa))
@@ -88,8 +93,29 @@ def prepared(
     flat = level | known
     z = np.where(flat & known, height - centre[:, 2], 0.0)
     g = (A @ s[..., None])[..., 0]
-    redundancy = (1 * used + line + (wr > 0)).sum(axis=1) - np.where(flat, 2, 3)
-    return Fixes(phi, theta, wa, we, r, wr, s, R, flat, z, u, redundancy), Lines(A, g), centre
+    slot, unknowns = slots(used, numbers), np.where(flat, 2, 3)
+    redundancy = (1 * used + line + (wr > 0)).sum(axis=1) - unknowns
+    different = sum(anchors(kind, slot) for kind in (used, line, wr > 0)) - unknowns
+    f = Fixes(phi, theta, wa, we, r, wr, s, R, flat, z, u, slot, redundancy, different)
+    return f, Lines(A, g), centre
+
+
+def slots(used: np.ndarray, numbers: Array | None) -> np.ndarray:
+    """The places (N, B) of the anchors used among those of their fix, in the order of their first
+    measurements, by their numbers (N, B); -1 where not used.
+    """
+    if numbers is None:
+        return np.where(used, used.cumsum(axis=1) - 1, -1)
+    same = (numbers[:, :, None] == numbers[:, None, :]) & used[:, None, :]
+    first = same.argmax(axis=2)
+    place = (used & (first == np.arange(used.shape[1]))).cumsum(axis=1) - 1
+    return np.where(used, np.take_along_axis(place, first, axis=1), -1)
+
+
+def anchors(used: np.ndarray, slot: np.ndarray) -> np.ndarray:
+    """The number (N,) of different anchors among those used (N, B), by their slots (N, B)."""
+    mine = np.sort(np.where(used, slot, -1), axis=1)
+    return np.asarray((np.diff(mine, axis=1, prepend=-1) > 0).sum(axis=1))
 
 
 def _turned(u: Array, R: Array) -> Array:

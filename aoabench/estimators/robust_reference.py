@@ -12,7 +12,7 @@ import numpy as np
 
 from aoabench.estimators.losses import NORMAL, TRUNCATED, Loss
 from aoabench.estimators.rays import FAR, apart, measured_reason
-from aoabench.estimators.robust_model import Fixes, Lines, prepared, state
+from aoabench.estimators.robust_model import Fixes, Lines, anchors, prepared, state
 from aoabench.kernels.robust_limits import (
     EVEN,
     GAIN,
@@ -34,20 +34,18 @@ from aoabench.types import Outcome, Reason
 
 def starts(f: Fixes, lines: Lines) -> Iterator[Array]:
     """Candidates (N, 3) m of a start, NaN for none: the point nearest to all lines, then those on
-    one line (where the height is known) and nearest to two, of anchors that are apart, and those
-    on one ray at its range.
+    the lines of one anchor (where the height is known) and nearest to those of two that are apart,
+    and those on one ray at its range.
     """
     used = f.wa > 0
     yield lines.nearest(used.astype(float), f)
-    n, order = used.sum(axis=1), np.argsort(~used, axis=1, kind="stable")
+    n, row = f.slot.max(axis=1, initial=-1) + 1, np.arange(len(f.z))
     most, count = int(n.max(initial=0)), np.zeros(len(n), dtype=int)
-    row = np.arange(len(n))
+    first = [(f.slot == i).argmax(axis=1) for i in range(most)]
     for gap in range(most):
         for i in range(most - gap):
-            j, k = order[:, i], order[:, i + gap]
-            some = np.zeros(used.shape)
-            some[row, j] = some[row, k] = 1.0
-            a, b = f.s[row, j], f.s[row, k]
+            some = ((f.slot == i) | (f.slot == i + gap)).astype(float)
+            a, b = f.s[row, first[i]], f.s[row, first[i + gap]]
             between = ((a - b) ** 2).sum(-1) > ONE_PLACE * ((a**2).sum(-1) + (b**2).sum(-1))
             tried = (i + gap < n) & (count < STARTS)
             count += tried
@@ -55,10 +53,10 @@ def starts(f: Fixes, lines: Lines) -> Iterator[Array]:
             if good.any():
                 yield np.where(good[:, None], lines.nearest(some, f), np.nan)
     for i in range(most if f.wr.any() else 0):
-        j = order[:, i]
+        j = first[i]
         at = f.s[row, j] + f.r[row, j, None] * f.ahead[row, j]
         at[:, 2] = np.where(f.flat, f.z, at[:, 2])
-        yield np.where(f.wr[row, j, None] > 0, at, np.nan)
+        yield np.where((f.wr[row, j, None] > 0) & (i < n)[:, None], at, np.nan)
 
 
 def best_start(f: Fixes, lines: Lines, loss: Loss) -> Array:
@@ -160,22 +158,23 @@ class Found(NamedTuple):
 
 def fixes(
     measured: tuple[Array, ...],
-    anchors: tuple[Array, Array],
+    sites: tuple[Array, Array, Array],
     height: float,
     loss: Loss,
     tolerance: float,
     updates: int,
 ) -> Found:
-    """One position per fix from angles, ranges and weights (N, B) and anchors (N, B, ...); `height`
-    in m is NaN where z is estimated.
+    """One position per fix from angles, ranges and weights (N, B) and anchors (N, B, ...), their
+    positions, rotations and numbers; `height` in m is NaN where z is estimated.
     """
-    f, lines, centre = prepared(measured, *anchors, height)
+    s, R, numbers = sites
+    f, lines, centre = prepared(measured, s, R, height, numbers)
     used, line, ranged, known = f.wa > 0, f.we > 0, f.wr > 0, bool(np.isfinite(height))
     # one ray, or one range, meets the plane, and one range ends a ray
     alone = (known & (line | ranged).any(axis=1)) | (line & ranged).any(axis=1)
     seen = np.where(f.flat[:, None, None] & (np.arange(3) == 2), 0.0, f.s)
     together = ~alone & ~apart(seen[:, None], used[:, None])[:, 0]
-    few = (loss.kind != NORMAL) & (f.redundancy < REDUNDANT)
+    few = (loss.kind != NORMAL) & (f.different < REDUNDANT)
     plain = few & ~ranged.any(axis=1)
     p = lines.nearest(used.astype(float), f)
     losses = (loss, np.flatnonzero(~few)), (Loss(NORMAL, 1.0), np.flatnonzero(few & ~plain))
@@ -216,4 +215,4 @@ def _judged(
     P[f.flat, 2] = P[f.flat, :, 2] = np.nan
     number = np.maximum((1 * (f.wa > 0) + (f.we > 0) + (f.wr > 0)).sum(axis=1), 1)
     score = np.where(f.redundancy > 0, np.sqrt(2.0 * at.cost / number), np.nan)
-    return P, score, used.sum(axis=1).astype(float)
+    return P, score, anchors(used, f.slot).astype(float)

@@ -39,13 +39,27 @@ class Belief(NamedTuple):
 
 def believed(batch: Batch, scenario: Scenario) -> Belief:
     """Return the prior of the batch, and the scenario's motion over the batch's steps; raises
-    BadValue if one is missing.
+    BadValue if one is missing, and ValueError for a motion that takes no arrays or for times that
+    decrease.
     """
     if scenario.motion is None or batch.prior_mean is None or batch.prior_cov is None:
         raise BadValue("scenario", type(scenario).__name__, "one with a motion model and a prior")
-    matrices = scenario.motion.matrices(_intervals(batch, scenario))
-    F, Q = (np.reshape(A, (1,) * (4 - np.ndim(A)) + np.shape(A)) for A in matrices)
+    dt = _intervals(batch, scenario)
+    matrices = [np.asarray(A) for A in scenario.motion.matrices(dt)]
+    n = batch.prior_mean.shape[1]
+    for A in matrices:
+        if A.shape[-2:] != (n, n) or not _stretches(A.shape[:-2], np.shape(dt)):
+            name = type(scenario.motion).__name__
+            wanted = f"F and Q (..., {n}, {n}) for intervals {np.shape(dt)}"
+            raise ValueError(f"{name}.matrices must return {wanted}, not an array {A.shape}")
+    F, Q = (A.reshape((1,) * (4 - A.ndim) + A.shape) for A in matrices)
     return Belief(batch.prior_mean, batch.prior_cov, F, Q)
+
+
+def _stretches(shape: tuple[int, ...], to: tuple[int, ...]) -> bool:
+    """Whether NumPy stretches an array of the first shape to the second."""
+    same = zip(reversed(shape), reversed(to))
+    return len(shape) <= len(to) and all(a in (1, b) for a, b in same)
 
 
 def _intervals(batch: Batch, scenario: Scenario) -> float | Array:

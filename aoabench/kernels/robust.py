@@ -14,6 +14,7 @@ from aoabench.kernels.angles import sine_cosine
 from aoabench.kernels.compile import called, given, inlined, kernel
 from aoabench.kernels.planes import SAME_PLACE, UNKNOWN, fill
 from aoabench.kernels.robust_likelihood import (
+    ID,
     LANES,
     NORMAL,
     PHI,
@@ -38,8 +39,10 @@ from aoabench.kernels.robust_likelihood import (
     Z,
     at_range,
     costs,
+    different,
     equations,
     gathered,
+    grouped,
     nearest,
     nearest_to_all,
     projected,
@@ -82,26 +85,27 @@ from aoabench.kernels.snapshot import FAR
 
 
 @called
-def best_start(loss, k, flat, z, q, d, l, n, ranges):
+def best_start(loss, k, flat, z, q, d, l, n, ranges, g, firsts):
     """The candidate of least cost, and that cost, infinite without a candidate."""
     bx, by, bz, least, count = UNKNOWN, UNKNOWN, UNKNOWN, math.inf, 0
-    for gap in range(-1, n + (1 if ranges > 0 else 0)):
-        for i in range(1 if gap < 0 else n if gap == n else n - gap):
+    m = grouped(q, l, n, g, firsts)
+    for gap in range(-1, m + (1 if ranges > 0 else 0)):
+        for i in range(1 if gap < 0 else m if gap == m else m - gap):
             if gap < 0:
                 x, y, w, sound = nearest_to_all(flat, z, l, n)
-            elif gap == n:
-                sound = q[WR, i] > 0.0
-                x, y, w = at_range(flat, z, q, i)
+            elif gap == m:
+                sound = q[WR, firsts[i]] > 0.0
+                x, y, w = at_range(flat, z, q, firsts[i])
             elif count < STARTS:
                 count += 1
                 j, two = i + gap, 1.0 if gap > 0 else 0.0
                 x, y, w, sound = nearest(
                     flat, z,
-                    l[0, i] + two * l[0, j], l[1, i] + two * l[1, j], l[2, i] + two * l[2, j],
-                    l[3, i] + two * l[3, j], l[4, i] + two * l[4, j], l[5, i] + two * l[5, j],
-                    l[6, i] + two * l[6, j], l[7, i] + two * l[7, j], l[8, i] + two * l[8, j],
+                    g[0, i] + two * g[0, j], g[1, i] + two * g[1, j], g[2, i] + two * g[2, j],
+                    g[3, i] + two * g[3, j], g[4, i] + two * g[4, j], g[5, i] + two * g[5, j],
+                    g[6, i] + two * g[6, j], g[7, i] + two * g[7, j], g[8, i] + two * g[8, j],
                 )  # fmt: skip
-                sound = sound & ((gap == 0) | distinct(q, i, j))
+                sound = sound & ((gap == 0) | distinct(q, firsts[i], firsts[j]))
             else:
                 sound = False
             if sound:
@@ -207,7 +211,11 @@ def used_and_behind(loss, k, every, x, y, z, q, d, n):
     used, back, least = 0, False, USED * weight(loss, k, STEEP, 0.0)
     for j in range(n):
         if every or weight(loss, k, STEEP, d[SA, j]) >= least:
-            used += 1
+            new = True
+            for i in range(j):
+                same = q[ID, i] == q[ID, j]
+                new = new & ~(same & (every | (weight(loss, k, STEEP, d[SA, i]) >= least)))
+            used += 1 if new else 0
             sp, cp = sine_cosine(q[PHI, j])
             st, ct = sine_cosine(q[THETA, j])
             dx, dy, dz = x - q[X, j], y - q[Y, j], z - q[Z, j]
@@ -228,6 +236,7 @@ def used_and_behind(loss, k, every, x, y, z, q, d, n):
         *(given(3) for _ in range(6)),
         given(4),
         given(5),
+        given(3),
         types.float64[:, :, ::1],
         types.float64[:, :, :, ::1],
         types.int8[:, ::1],
@@ -236,37 +245,48 @@ def used_and_behind(loss, k, every, x, y, z, q, d, n):
     )
 )
 def robust(
-    loss, k, tolerance, updates, height, phi, theta, wa, we, r, wr, s, R,
+    loss, k, tolerance, updates, height, phi, theta, wa, we, r, wr, s, R, ids,
     p, P, outcome, reason, count, score, used,
 ):  # fmt: skip
     """Position p (R, T, 3), covariance P (R, T, 3, 3), outcome, reason, number of updates, score
     and number of anchors used (R, T) of each fix from its angles and ranges r m (R, T, B).
 
     wa, we, wr (R, T, B): 1 / variance, 0 where not measured; without ranges, r and wr are
-    (R, T, 0). s (R|1, T|1, B, 3) anchors, R
+    (R, T, 0). ids (R|1, T|1, B): the anchors' numbers. s (R|1, T|1, B, 3) anchors, R
     (R|1, T|1, B, 3, 3); `height` is NaN where z is estimated.
     """
     B, known = phi.shape[2], height == height
-    q, d, l = np.empty((18, B + LANES)), np.empty((12, B + LANES)), np.empty((9, B + LANES))
+    q, d, l = np.empty((19, B + LANES)), np.empty((12, B + LANES)), np.empty((9, B + LANES))
+    g, firsts = np.empty((9, B + 1)), np.empty(B + 1, np.intp)
     for i in range(phi.shape[0]):
         for t in range(phi.shape[1]):
             here = s[min(i, len(s) - 1), min(t, s.shape[1] - 1)]
             turn = R[min(i, len(R) - 1), min(t, R.shape[1] - 1)]
             n, rays, ranges, both, cx, cy, cz = gathered(
-                phi[i, t], theta[i, t], wa[i, t], we[i, t], r[i, t], wr[i, t], here, turn, q
+                phi[i, t],
+                theta[i, t],
+                wa[i, t],
+                we[i, t],
+                r[i, t],
+                wr[i, t],
+                here,
+                turn,
+                ids[min(i, len(ids) - 1), min(t, ids.shape[1] - 1)],
+                q,
             )
             vertical = projected(q, n, l)
             flat = known | (vertical & (rays == 0))
             alone = (known & (rays + ranges > 0)) | (both > 0)
             z = height - cz if known else 0.0
-            redundancy = n + rays + ranges - (2 if flat else 3)
-            few = (loss != NORMAL) & (redundancy < REDUNDANT)
+            unknowns = 2 if flat else 3
+            redundancy = n + rays + ranges - unknowns
+            few = (loss != NORMAL) & (different(q, n) - unknowns < REDUNDANT)
             plain, rho = few & (ranges == 0), NORMAL if few else loss
             together = not (alone | apart(flat, q, n))
             count[i, t], score[i, t], used[i, t], P[i, t] = 0.0, UNKNOWN, n, UNKNOWN
             x, y, w, sound = nearest_to_all(flat, z, l, n)
             if not plain and not together:
-                x, y, w, least = best_start(rho, k, flat, z, q, d, l, n, ranges)
+                x, y, w, least = best_start(rho, k, flat, z, q, d, l, n, ranges, g, firsts)
                 sound = least < math.inf
             if together | (not sound) | (n < (1 if alone else 2)):
                 p[i, t], outcome[i, t] = UNKNOWN, FAILED

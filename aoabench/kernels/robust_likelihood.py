@@ -17,7 +17,7 @@ from aoabench.kernels.small import solve
 LANES = 4
 NORMAL, STUDENT, HUBER, TRUNCATED = range(4)
 PHI, THETA, WA, WE, X, Y, Z = range(7)  # rows of q; then those of the rotation
-R00, R01, R02, R10, R11, R12, R20, R21, R22, RANGE, WR = range(7, 18)
+R00, R01, R02, R10, R11, R12, R20, R21, R22, RANGE, WR, ID = range(7, 19)
 DA, DE, SA, SE, U, V, W, CA, CE, DR, SR, CR = range(12)  # rows of d; the last three of ranges
 
 
@@ -66,7 +66,7 @@ def costs(loss, k, m, d, n, ranges):
 
 
 @called
-def gathered(phi, theta, wa, we, r, wr, s, R, q):
+def gathered(phi, theta, wa, we, r, wr, s, R, ids, q):
     """Copy the anchors that measured into q; the numbers of anchors, of rays, of ranges, and of
     rays with a range, and the centre.
     """
@@ -79,7 +79,7 @@ def gathered(phi, theta, wa, we, r, wr, s, R, q):
                 for c in range(3):
                     q[R00 + 3 * i + c, n] = R[j, i, c]
             x, y, z = x + s[j, 0], y + s[j, 1], z + s[j, 2]
-            q[RANGE, n] = q[WR, n] = 0.0
+            q[RANGE, n], q[WR, n], q[ID, n] = 0.0, 0.0, ids[j]
             if len(wr) > 0 and wr[j] > 0.0:
                 q[RANGE, n], q[WR, n] = r[j], wr[j]
                 ranges, both = ranges + 1, both + (1 if we[j] > 0.0 else 0)
@@ -124,6 +124,38 @@ def projected(q, n, l):
         l[6, j], l[7, j] = one * x + along * vx, one * y + along * vy
         l[8, j] = one * z + along * vz
     return up <= FLAT * across
+
+
+@called
+def different(q, n):
+    """The number of measurements, several of a kind by one anchor counted once."""
+    total = 0
+    for j in range(n):
+        a, e, r = 1, 1 if q[WE, j] > 0.0 else 0, 1 if q[WR, j] > 0.0 else 0
+        for i in range(j):
+            if q[ID, i] == q[ID, j]:
+                a, e, r = 0, 0 if q[WE, i] > 0.0 else e, 0 if q[WR, i] > 0.0 else r
+        total += a + e + r
+    return total
+
+
+@called
+def grouped(q, l, n, g, first):
+    """Write the sums of each anchor's columns of l into g (9, M), and the place of its first packet
+    into `first` (M,); the number M of anchors.
+    """
+    m = 0
+    for j in range(n):
+        i = 0
+        while i < m and q[ID, first[i]] != q[ID, j]:
+            i += 1
+        if i == m:
+            first[m], m = j, m + 1
+            for c in range(9):
+                g[c, i] = 0.0
+        for c in range(9):
+            g[c, i] += l[c, j]
+    return m
 
 
 @called

@@ -4,7 +4,7 @@ numba.
 
 from __future__ import annotations
 
-STARTS = 36  # the most candidates of a start that are made of one or two rays
+STARTS = 36  # the most candidates of a start that are made of the rays of one or two anchors
 REDUNDANT = 2  # a robust loss needs so many angles more than unknowns
 USED = 0.25  # an anchor is used if its azimuth has this share of the weight of a perfect one
 GROWTH = 4.0  # factor on the steepness of the truncated loss at each step

@@ -88,6 +88,15 @@ class ConstantAcceleration(Motion):
         return np.repeat([1.0, np.sqrt(self.q)], 3)
 
 
+# motion models whose parameters all have defaults, by name
+NAMED: dict[str, type[Motion]] = {"random_walk": RandomWalk, "constant_velocity": ConstantVelocity}
+
+
+def motion_of(motion: Motion | str | None) -> Motion | None:
+    """The motion model, or the one of a name of NAMED with its defaults."""
+    return NAMED[motion]() if isinstance(motion, str) else motion
+
+
 def _blocks(rows: list[list[float | Array]], axes: Array) -> Array:
     """Matrices (..., 3 k, 3 k) from entries (k, k), each (...), times diag(axes), axes (3,)."""
     entries = np.moveaxis(np.array(rows), (0, 1), (-2, -1))

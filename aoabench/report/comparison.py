@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from aoabench.report.text import NON_CAUSAL
 from aoabench.store.compare import COLUMNS, IDENTITY
 from aoabench.store.comparison import FAILURES, LEVEL
 
@@ -26,6 +27,8 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
         yield ""
     for cell, why in left_out.items():
         yield f"cell {cell}: nothing to compare, {why}"
+    for name in table.attrs["non_causal"]:
+        yield f"{name} is {NON_CAUSAL}"
     if table.attrs["comparisons"]:
         yield ""
         yield from _method(table)

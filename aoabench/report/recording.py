@@ -24,7 +24,7 @@ _MOST_NAMED = 10  # tags with names
 def write(
     out: Path,
     cell: str,
-    estimators: Sequence[str],
+    estimators: Mapping[str, str],
     tracks: Tracks,
     anchors: np.ndarray,
     bounds: Any = None,
@@ -32,9 +32,9 @@ def write(
     """Draw <out>/figures/<cell>-cdf.png and -median_map.png of the errors from the stored steps of
     a recording, or -positions.png without ground truth, and return their paths.
 
-    anchors (B, 2) m; bounds (2, 2) m or None.
+    estimators: the names to show by those stored; anchors (B, 2) m; bounds (2, 2) m or None.
     """
-    steps = {name: track_steps(out, cell, name, _COLUMNS) for name in estimators}
+    steps = {shown: track_steps(out, cell, n, _COLUMNS) for n, shown in estimators.items()}
     count = min(map(len, steps.values()))
     truth = tracks.truth[:count, :2]
     known = np.isfinite(truth).all(axis=1)

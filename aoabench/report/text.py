@@ -14,6 +14,14 @@ def printed_text(value: float | None, rounding: float) -> str:
     )
 
 
+NON_CAUSAL = "non-causal: its fixes use later measurements too, as live positioning cannot"
+
+
+def shown_name(estimator: str, causal: bool) -> str:
+    """An estimator's name in tables and figures; a smoother is marked as non-causal."""
+    return estimator if causal else f"{estimator} (non-causal)"
+
+
 def number_text(value: float, se: float) -> str:
     """A number with its standard error, to the digits that the error supports."""
     if value != value:

@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from aoabench.devices.drawing import UNITS
 from aoabench.devices.floor_plan import FloorPlan
 from aoabench.devices.geodesy import Origin
 from aoabench.devices.routes import Route, waypoints
-from aoabench.errors import BadValue, check_array
+from aoabench.errors import BadValue
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
 from aoabench.params import param
@@ -89,7 +88,8 @@ class IndoorMap(Scenario):
     speed_m_s: float = param(1.1, "horizontal speed", unit="m/s", least=1e-3, most=1e6)
     height_m: tuple[float, float] = param(
         (1.0, 2.0),
-        "height at the start and at the end of the route, linear between",
+        "height at the start and at the end of the route, linear between; not used if the route's "
+        "file has heights",
         unit="m",
         shape=(2,),
     )
@@ -154,13 +154,6 @@ class IndoorMap(Scenario):
         """The files that the scenario was read from, as they were then."""
         return self._files
 
-    def _found(self) -> tuple[Path, ...]:
-        """The files of anchors and walls."""
-        named = (("anchors", self.anchors), ("walls", self.walls))
-        return tuple(
-            plan.find(key, name) for key, name in named if key == "anchors" or name is not None
-        )
-
     @cached_property
     def true_anchors(self) -> Anchors:
         """The true ANs (1, 1, B, ...); local x points along the array's broadside, and without
@@ -170,9 +163,11 @@ class IndoorMap(Scenario):
 
     @cached_property
     def _plan(self) -> FloorPlan:
+        files = [plan.find("anchors", self.anchors)]
+        files += [] if self.walls is None else [plan.find("walls", self.walls)]
         origin = Origin.given(self.origin_deg)
         frame = plan.Frame(self.walls_unit, self.walls_crs, origin, self.walls_layers)
-        return FloorPlan.read(self._found(), frame)
+        return FloorPlan.read(files, frame)
 
     @property
     def wall_segments(self) -> Array | None:
@@ -245,6 +240,12 @@ class IndoorMap(Scenario):
     def _waypoints(self) -> Route:
         return waypoints("route", self.route, self._plan.known)
 
+    @property
+    def _heights(self) -> Sequence[float] | Array:
+        """Heights in m at the start and at the end, or at each waypoint of the route."""
+        found = self._waypoints.heights
+        return self.height_m if found is None else found
+
     @cached_property
     def _path(self) -> RoundedRoute:
         if isinstance(self.route, str):
@@ -260,7 +261,7 @@ class IndoorMap(Scenario):
     def _route_truth(self) -> Array:
         """Position m, velocity m/s and acceleration m/s^2 (T, 9) on the route after each step."""
         arc: Array = self.speed_m_s * self.dt * np.arange(1.0, self.route_steps + 1)
-        return states(self._path, arc, self.speed_m_s, self.height_m)
+        return states(self._path, arc, self.speed_m_s, self._heights)
 
     def truth(self, rng: np.random.Generator) -> Array:
         """True position m, velocity m/s and acceleration m/s^2 (T, 9) after each step."""
@@ -279,9 +280,7 @@ class IndoorMap(Scenario):
     @cached_property
     def _start(self) -> Array:
         """The state (9,) before the first step: first waypoint, velocity and acceleration 0."""
-        return np.array(
-            [*check_array("route", self.route, (None, 2))[0], self.height_m[0], 0, 0, 0, 0, 0, 0]
-        )
+        return np.array([*self._waypoints.points[0], self._heights[0], 0, 0, 0, 0, 0, 0])
 
     @cached_property
     def _prior_sigma(self) -> Array:

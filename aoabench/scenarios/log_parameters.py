@@ -13,6 +13,7 @@ from aoabench.devices.combining import COMBINE
 from aoabench.devices.grouping import WINDOWS
 from aoabench.devices.moments import SECONDS
 from aoabench.devices.reading import ANCHOR, FORMATS, Reading
+from aoabench.models.motion import NAMED
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario
 from aoabench.scenarios.layout import AnchorLayout
@@ -182,7 +183,11 @@ class LogParameters(Scenario, ABC):
         key="dt",
     )
     motion: Motion | None = param(
-        None, "motion model that filters assume; null: fixes are independent", kind=Motion
+        None,
+        "motion model that filters assume: a name with the defaults, of a walking person, or one "
+        "with parameters; null: fixes are independent",
+        kind=Motion,
+        also=tuple(NAMED),
     )
     start_sigma_m: float = param(
         1.0, "standard deviation of the position at which filters start", unit="m", above=0

@@ -29,6 +29,7 @@ from aoabench.devices.truth import read_truth
 from aoabench.errors import BadValue, check_array, listed
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
+from aoabench.models.motion import motion_of
 from aoabench.roles import Motion
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
@@ -65,6 +66,7 @@ class Recorded(LogParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "motion", motion_of(self.motion))
         if self.heading_deg is not None and (self.measured_by, self.frame) != ("mobile", "own"):
             raise BadValue(
                 "heading_deg",
@@ -136,18 +138,9 @@ class Recorded(LogParameters):
         return anchors if own else Anchors(anchors.position, upright)
 
     @property
-    def anchor_names(self) -> list[str]:
-        """The anchors' names (B,)."""
-        return self._anchors.ids
-
-    @property
-    def origin(self) -> Origin | None:
-        """The origin of the local coordinates; None where it is unknown."""
-        return self._anchors.origin
-
-    def check_local(self, why: str) -> None:
-        """AnchorsFile.check_local of the anchors."""
-        self._anchors.check_local(why)
+    def anchors_file(self) -> AnchorsFile:
+        """The content of the file of anchors."""
+        return self._anchors
 
     def with_tracks(
         self, tracks: Tracks, start_s: float | None = None, motion: Motion | None = None

@@ -72,6 +72,14 @@ class RoundedRoute:
             length=float(pieces.sum()),
         )
 
+    @property
+    def waypoints(self) -> Array:
+        """The lengths (K,) m along the route at which the waypoints are passed, at the middles of
+        their arcs.
+        """
+        ends = np.append(self.begin[2::2], self.length)
+        return np.concatenate([[0.0], (self.begin[1::2] + ends)[:-1] / 2, [self.length]])
+
     def at(self, arc_m: Array) -> tuple[Array, Array, Array]:
         """Positions (N, 2) m, directions (N, 2) and curvatures (N,) 1/m at lengths (N,) m from the
         start.
@@ -85,15 +93,21 @@ class RoundedRoute:
         return position, np.stack([np.cos(h + k * s), np.sin(h + k * s)], axis=-1), k
 
 
-def states(path: RoundedRoute, arc_m: Array, speed_m_s: float, height_m: Sequence[float]) -> Array:
+def states(
+    path: RoundedRoute, arc_m: Array, speed_m_s: float, height_m: Sequence[float] | Array
+) -> Array:
     """Position m, velocity m/s and acceleration m/s^2 (T, 9) at lengths (T,) m along a path that is
-    followed at a constant horizontal speed; the height is linear from its start to its end.
+    followed at a constant horizontal speed. The heights are those at the start and at the end, or
+    at the waypoints (K,), linear between.
     """
     position, ahead, curvature = path.at(arc_m)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
-    climb = (height_m[1] - height_m[0]) / path.length
+    marks = np.array([0.0, path.length]) if len(height_m) == 2 else path.waypoints
+    heights = np.asarray(height_m, dtype=float)
+    leg = np.clip(np.searchsorted(marks, arc_m, side="right") - 1, 0, len(marks) - 2)
+    climb = (np.diff(heights) / np.diff(marks))[leg]
     found = np.zeros((len(arc_m), 9))
-    found[:, :2], found[:, 2] = position, height_m[0] + climb * arc_m
+    found[:, :2], found[:, 2] = position, heights[leg] + climb * (arc_m - marks[leg])
     found[:, 3:5], found[:, 5] = speed_m_s * ahead, speed_m_s * climb
     found[:, 6:8] = speed_m_s**2 * curvature[:, None] * left
     return found

@@ -113,6 +113,16 @@ def compare(
     table = table.astype({"p_holm": float, "verdict": object, "needed": float, "text": object})
     table["heavy_tail"] = _heavy_tails(table, shown["summary"])
     table.attrs |= {"comparisons": comparisons, "left_out": left_out}
+    return _with_non_causal(table, shown["summary"])
+
+
+def _with_non_causal(table: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
+    """The table with the attribute `non_causal`: the names of the estimators that the summary marks
+    so; none in tables of before.
+    """
+    causal = summary["causal"].astype(bool) if "causal" in summary else None
+    late = [] if causal is None else summary["estimator"][~causal].unique().tolist()
+    table.attrs["non_causal"] = late
     return table
 
 

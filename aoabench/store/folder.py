@@ -48,6 +48,7 @@ def record_cell(
     entries = dict(before.get("estimators", {}))
     for name, key in keys.items():
         known = {"timing": timing.get(key), "precision": precision.get(name)}
+        known |= {} if cell.estimators[name].causal else {"causal": False}
         entries[name] = {"key": key, "reps": reps[name], "steps": cell.steps, **known}
     entries = {name: entry for name, entry in entries.items() if entry["reps"]}
     config = dict(cell.config)

@@ -125,7 +125,7 @@ class CellRows:
             errors = replace(errors, z=np.full(errors.z.shape, np.nan))  # a position in the plane
         found = summarise(columns, clusters, reasons, errors)
         identity = {**{k: self.row[k] for k in IDENTITY[:4]}, "estimator": name}
-        self.summary.append(identity | found)
+        self.summary.append(identity | found | {"causal": entry.get("causal", True)})
 
     def _errors_of_steps(self, name: str) -> Errors:
         """Every error of an estimator whose steps are stored."""

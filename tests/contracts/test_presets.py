@@ -15,7 +15,12 @@ from aoabench.engine.tiles import estimate_tile, tile_of
 from aoabench.types import Outcome
 from tests.golden.cells import with_every_noise
 
-TIMES = {"ekf_toa_aoa", "wcg", "wcg_as_printed"}  # estimators that need times of arrival
+TIMES = {
+    "ekf_toa_aoa",
+    "ekf_toa_aoa_smoother",
+    "wcg",
+    "wcg_as_printed",
+}  # estimators that need times of arrival
 ROOM = (
     "anchor",
     "discrepancy",

@@ -147,6 +147,7 @@ STREAMS = {
     "csv": CSV,
     "comments": CSV.replace("1.5\n", "1.5\n# lost the link, 3 times\n"),
     "semicolons": CSV.replace(",", ";").replace(".", ","),
+    "preamble": "# made by x\n# version 2\nsep=;\n\n" + CSV.replace(",", ";").replace(".", ","),
     "jsonl": "".join(
         json.dumps({"anchor": f"a{i}", "azimuth_deg": i / 2}) + "\n" for i in range(9)
     ),
@@ -178,3 +179,13 @@ def test_a_stream_that_is_no_log():
     assert live.feed(b"x" * (1 << 24)) is None
     with pytest.raises(BadValue, match="its lines do not end"):
         live.feed(b"x")
+
+
+def test_times_of_day_go_on_after_midnight_from_piece_to_piece():
+    live, found = Live("path", "-"), []
+    for time in ("23:59:59.5", "00:00:00.5", "10:00:00", "20:00:00", "23:59:59", "00:00:01"):
+        found.append(live.feed(f"{time} {LINE}\n".encode()).frame["time_s"].iloc[0])
+    day = 86400
+    np.testing.assert_allclose(
+        found, [day - 0.5, day + 0.5, day + 36000, day + 72000, 2 * day - 1, 2 * day + 1]
+    )

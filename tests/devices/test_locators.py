@@ -57,6 +57,12 @@ def test_locators_face_along_their_z_axis():
     assert read({"locators": [locator("a", turn=(0, 180, 30)), locator("b", turn=(0, 90, 0))]}).facing is None  # fmt: skip
 
 
+def test_other_json_is_a_table():
+    found = read([{"id": "a", "x_m": 1, "y_m": 2}, {"id": "b", "x_m": 3, "y_m": 4}])
+    assert found.ids == ["a", "b"]
+    np.testing.assert_array_equal(found.anchors.position[0, 0], [[1, 2, 0], [3, 4, 0]])
+
+
 def test_masks_are_noted():
     assert read({"locators": [locator("a", azimuthMask=[])]}).notes == ()
     (note,) = read(
@@ -66,8 +72,9 @@ def test_masks_are_noted():
 
 
 BAD = {
-    "not json": ("{", "not JSON"),
-    "a list": ([], "a list locators"),
+    "torn": ('{"locators": [', "not JSON"),
+    "no JSON": ("{", "JSON"),
+    "another list": ('{"locators": {}}', "a list locators"),
     "none": ({"locators": []}, "a list locators"),
     "no id": ({"locators": [{}]}, "locator 0 has the id None"),
     "twice": ({"locators": [locator("a"), locator("a")]}, "locator 1 has the id 'a'"),

@@ -49,6 +49,8 @@ FORMS = {
     "open ring": [feature("Polygon", [ROOM[:-1]])],
     "line": [feature("LineString", ROOM)],
     "lines": [feature("MultiLineString", [[a, b] for a, b in pairwise(ROOM)], kind="wall")],
+    "closed lines": [feature("MultiLineString", [ROOM])],
+    "twice": [feature("Polygon", [ROOM]), feature("LineString", ROOM[::-1])],
     "polygons": [feature("MultiPolygon", [[ROOM]], kind="room")],
     "one feature": feature("Polygon", [ROOM]),
     "one geometry": {"type": "Polygon", "coordinates": [ROOM]},
@@ -64,6 +66,12 @@ FORMS = {
 @pytest.mark.parametrize("content", FORMS.values(), ids=FORMS)
 def test_one_room_in_many_forms(content):
     assert same(read(content).walls, ROOM)
+
+
+@pytest.mark.parametrize("content", FORMS.values(), ids=FORMS)
+def test_a_wall_of_two_rooms_is_one(content):
+    assert len(read(content).walls) == 4
+    assert len(read([feature("Polygon", [ROOM]), feature("Polygon", [NEXT])]).walls) == 7
 
 
 def test_what_is_no_wall_is_counted():
@@ -127,6 +135,15 @@ def test_any_doors_leave_what_shapely_leaves(rng):
         assert unused == sum(
             d.points[1, 0] <= w[0][0] or d.points[0, 0] >= w[1][0] for w, d in zip(walls, doors)
         )
+
+
+def test_a_door_that_only_touches_a_wall_opens_none():
+    wall = np.array([[[0.0, 0.0], [10.0, 0.0]]])
+    found, unused = cut(wall, [Door(np.array([[10.0, 0.0], [11.0, 0.0]]))])
+    assert unused == 1
+    np.testing.assert_array_equal(found, wall)
+    found, unused = cut(wall, [Door(np.array([[-1.0, 0.0], [11.0, 0.0]]))])
+    assert (len(found), unused) == (0, 0)
 
 
 def test_walls_without_doors_keep_their_bits_and_order(rng):
@@ -201,6 +218,75 @@ def test_degrees_become_metres():
             read(content, frame)
 
 
+def test_degrees_near_a_known_origin_are_degrees():
+    origin = Origin(60.0, 24.0)
+    content = [feature("Polygon", [degrees(ROOM, origin)])]
+    plan = read(content, Frame(origin=origin))
+    assert plan.geodetic
+    np.testing.assert_array_equal(
+        plan.walls, read(content, Frame(crs="wgs84", origin=origin)).walls
+    )
+    swapped = [feature("Polygon", [[p[::-1] for p in degrees(ROOM, origin)]])]
+    with pytest.raises(BadValue, match="looks like degrees"):
+        read(swapped, Frame(origin=origin))
+    with pytest.raises(BadValue, match="exchanged"):
+        read(swapped, Frame(crs="wgs84", origin=origin))
+
+
+def test_tables_and_encodings():
+    rows = "x0_m;y0_m;x1_m;y1_m\n" + "".join(
+        f"{a},5;{b};{c},5;{d}\n" for (a, b), (c, d) in pairwise(ROOM)
+    )
+    Path("w.txt").write_text(rows)
+    plan = read_plan("walls", Path("w.txt"))
+    np.testing.assert_array_equal(plan.walls, np.array(list(pairwise(ROOM))) + [0.5, 0])
+    Path("w.geojson").write_text(json.dumps(FORMS["one geometry"]), encoding="utf-16")
+    assert same(read_plan("walls", Path("w.geojson")).walls, ROOM)
+    Path("w.geojson").write_bytes(b"{\x00}")
+    with pytest.raises(BadValue, match="UTF-8"):
+        read_plan("walls", Path("w.geojson"))
+
+
+def test_sight_through_doors_is_what_shapely_finds(rng):
+    """Rooms on a grid with doors in random places: a line is clear if it meets no wall that shapely
+    leaves of the rooms' boundary.
+    """
+    rooms = [shapely.box(4 * i, 3 * k, 4 * i + 4, 3 * k + 3) for i in range(4) for k in range(3)]
+    places = [(4.0 * i, 3 * k + rng.uniform(0.5, 2.5), 0) for i in range(5) for k in range(3)]
+    places += [(4 * i + rng.uniform(0.5, 3.5), 3.0 * k, 1) for i in range(4) for k in range(4)]
+    ends = [
+        ([x - 0.45 * d, y - 0.45 * (1 - d)], [x + 0.45 * d, y + 0.45 * (1 - d)])
+        for x, y, d in places
+    ]
+    content = [feature("Polygon", [list(map(list, room.exterior.coords))]) for room in rooms]
+    content += [feature("LineString", list(pair), category="door") for pair in ends]
+    walls = shapely.union_all([room.exterior for room in rooms])
+    left = shapely.difference(
+        walls, shapely.union_all([shapely.LineString(p).buffer(1e-9) for p in ends])
+    )
+    anchors, points = (rng.uniform(0, [16, 9], (n, 2)) for n in (9, 300))
+    lines = shapely.linestrings(
+        np.stack(np.broadcast_arrays(points[:, None], anchors[None]), axis=2)
+    )
+    clear = ~shapely.intersects(lines, left)
+    assert 0.1 < clear.mean() < 0.6
+    np.testing.assert_array_equal(in_sight(points, anchors, read(content).walls), clear)
+
+
+def test_hostile_files_end_in_one_line():
+    for text in (
+        "[" * 200_000,
+        '{"type":"GeometryCollection","geometries":[' * 900,
+        '{"type": "Polygon", "coordinates": ' + "[" * 500 + "]" * 500 + "}",
+    ):
+        Path("w.geojson").write_text(text)
+        with pytest.raises(BadValue) as error:
+            read_plan("walls", Path("w.geojson"))
+        assert len(str(error.value)) < 300
+    way = np.cumsum(np.tile([[0.001, 0.0], [0.0, 0.001]], (250_000, 1)), axis=0)
+    assert len(read({"type": "LineString", "coordinates": way.tolist()}).walls) == len(way) - 1
+
+
 def test_projected_plans():
     pyproj = pytest.importorskip("pyproj")
     to = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:3067", always_xy=True)
@@ -228,8 +314,10 @@ def drawing(unit=4, size=1000.0):
     space.add_line((0, 0), (5 * size, 5 * size), dxfattribs={"layer": "OLD"})
     space.add_text("office", dxfattribs={"layer": "WALLS"})
     block = document.blocks.new("STUB")
-    block.add_line((0, 0), (0, size), dxfattribs={"layer": "WALLS"})
-    space.add_blockref("STUB", (9 * size, size), dxfattribs={"xscale": 2, "yscale": 2})
+    block.add_line((0, 0), (0, size))  # in layer 0, which is that of the insert
+    outer = document.blocks.new("OUTER")
+    outer.add_blockref("STUB", (0, 0), dxfattribs={"xscale": 2, "yscale": 2})
+    space.add_blockref("OUTER", (9 * size, size), dxfattribs={"layer": "WALLS"})
     document.saveas("w.dxf")
 
 
@@ -259,9 +347,27 @@ def test_all_layers_and_curves():
     round_ = shapely.Point(3, 3).buffer(1, quad_segs=200).exterior
     inside = outline(plan.walls).intersection(shapely.Point(3, 3).buffer(1.5))
     assert inside.hausdorff_distance(round_) < 0.0101
+    drawing(unit=4, size=1.0)  # states mm, is in m
+    declared = read_plan("walls", Path("w.dxf"), Frame(unit="m"))
+    again = outline(declared.walls).intersection(shapely.Point(3, 3).buffer(1.5))
+    assert again.hausdorff_distance(round_) < 0.0101
+    assert "read in m, as declared; the drawing states mm" in " ".join(declared.notes)
+    drawing(unit=6, size=1.0)
     declared = read_plan("walls", Path("w.dxf"), Frame(unit="mm"))
     assert declared.walls.max() == pytest.approx(0.012)
     assert "read in mm, as declared; the drawing states m" in " ".join(declared.notes)
+
+
+def test_a_block_within_itself_ends():
+    ezdxf = pytest.importorskip("ezdxf")
+    document = ezdxf.new()
+    block = document.blocks.new("LOOP")
+    block.add_line((0, 0), (1, 1))
+    block.add_blockref("LOOP", (1, 0))
+    document.modelspace().add_blockref("LOOP", (0, 0))
+    document.saveas("w.dxf")
+    with pytest.raises(BadValue, match="nested at most 20 deep"):
+        read_plan("walls", Path("w.dxf"))
 
 
 def test_broken_drawings_give_one_line(monkeypatch):

@@ -59,7 +59,7 @@ def test_one_route_in_many_forms(name, text):
 
 
 BAD = {
-    "form": ("r.txt", "1 1\n", HERE, "a file .csv or .gpx"),
+    "form": ("r.kml", "1 1\n", HERE, "a file .csv or .gpx"),
     "columns": ("r.csv", "x,y\n1,2\n", HERE, "columns x_m, y_m, or lat_deg, lon_deg; it has x, y"),
     "cells": ("r.csv", "x_m,y_m\n1,2\n3,\n", HERE, "line 3 has y_m=nan"),
     "one place": ("r.csv", "x_m,y_m\n1,2\n1,2\n", HERE, "two or more different waypoints"),

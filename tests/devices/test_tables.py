@@ -111,6 +111,14 @@ def test_names_for_a_file_without_them(rows, here):
         read(header=("fix",))
 
 
+def test_decimal_commas_without_names(rows, here):
+    rows = rows.fillna(0.5)
+    text = rows.to_csv(index=False, header=False, sep=";", decimal=",")
+    assert all(line.count(",") == 2 for line in text.splitlines())
+    Path("log.csv").write_text(text)
+    check(read(header=tuple(NAMES)), rows)
+
+
 def test_dates_and_texts_are_no_decimal_commas(here):
     Path("log.csv").write_text('time;anchor;azimuth\n2024-05-01T10:00:00,5;"1,5";10\n')
     table = read(names={"anchor": "anchor", "azimuth": "azimuth"})
@@ -263,6 +271,16 @@ def test_a_wide_table_equals_the_long_one(azimuth, elevation, given, rng, here):
     np.testing.assert_array_equal(table.numbers("x"), fix / 2)
     assert list(table.frame["anchor"]) == [ids[j] for j in anchor]
     assert table.at(1, "elevation") == f"line 2 has {elevation.format('b_2')}={values[0, 1, 1]}"
+
+
+def test_rows_of_a_wide_table_without_an_order_are_fixes(here):
+    for file in ("a.csv", "b.csv"):
+        Path(file).write_text("azimuth_1,azimuth_2\n10,20\n30,40\n")
+    chosen = {"fix": "fix", "anchor": "anchor", "azimuth": "azimuth_deg"}
+    assert read("a.csv", chosen).texts("fix")[1] == ["1", "2"]
+    both = read(["a.csv", "b.csv"], chosen)
+    assert both.texts("fix")[1] == ["a 1", "a 2", "b 1", "b 2"]
+    assert both.numbers("azimuth").tolist() == [10, 20, 30, 40] * 2
 
 
 @pytest.mark.parametrize("names", [

@@ -389,6 +389,18 @@ def test_filtered_tags_are_the_single_ones_bit_for_bit_and_nearer_than_their_fix
         assert (both[name]["rows"]["rmse_xy_m"][:2] < fixes[:2]).all()
 
 
+def test_a_filter_uses_the_anchors_that_are_heard():
+    """Each counts once, however many packets it sent."""
+    m = {n: a.copy() for n, a in doubled(EACH[1], 3).measured.arrays.items()}
+    for array in m.values():
+        array[2, 1] = array[3] = array[4, [0, 4]] = array[5, [0, 4, 5]] = np.nan
+    some = replace(doubled(EACH[1], 3), measured=Measurements(**m))
+    steps = block(some, FILTERS, motion=RandomWalk())
+    for name in FILTERS:
+        used = steps[name]["steps"]["anchors_used"]
+        assert used.tolist() == [4, 4, 3, 0, 4, 3, *[4] * 6]
+
+
 def test_a_filter_sees_the_time_between_fixes():
     """A tag that walked 3 m during a pause of 20 s: the filter follows at once."""
     one = track("T1", 40)

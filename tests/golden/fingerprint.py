@@ -27,6 +27,8 @@ COLUMNS = (
 MODELS = ("ae_nominal", "ae_fitted", "ae_adaptive", "vmf")
 KALMAN = [f"{kind}_{model}" for kind in ("ekf", "ukf") for model in MODELS]
 KALMAN += ["ukf_ae_adaptive_augmented", "ekf_aoa"]
+SMOOTHERS = [f"{kind}_{model}_smoother" for kind in ("ekf", "ukf") for model in MODELS]
+SMOOTHERS += ["map_smoother"]
 PARTICLES = [f"pf_{model}" for model in MODELS]
 SNAPSHOT = ["ls", "ml_arctan", "ml_atan2", "ml_kcorr", "ls_lines", "ls_anchor_discarding", "vmf_ml"]
 ROOM = [
@@ -51,6 +53,13 @@ CASES: dict[str, tuple[list[str], int]] = {  # name: overrides, replications
     "particles": (
         ["scenario=square_track", "noise=vmf", f"filter={chosen(PARTICLES)}",
          *(f"filter.{name}.particles=512" for name in PARTICLES)], 3,
+    ),
+    "smoothers": (
+        ["scenario=square_track", "noise=vmf", f"filter={chosen(SMOOTHERS)}"], 40,
+    ),
+    "map_smoothers": (
+        ["scenario=indoor_map", "noise=ofdm_crlb", "noise.an_sigma_m=0.5", "scenario.dt=2",
+         "filter=[ekf_toa_aoa_smoother,ekf_aoa_smoother]"], 2,
     ),
     "grid": (
         ["scenario=bs_grid", "noise=ae_normal", "noise.sigma_deg=4",

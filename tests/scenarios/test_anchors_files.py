@@ -45,6 +45,7 @@ GOOD = {
         "roll_deg,facing_deg,floor,y_m,x_m,id,pitch_deg,z_m\n20,110,EG,2,1,1,-35,3\n180,0,OG,6,5,b,0,2.8\n",
         [3, 2.8], [[110, -35, 20], [0, 0, 180]]),
     "semicolons and decimal commas": ("x_m;y_m;z_m\n1,0;2;3\n5;6;2,5\n", [3, 2.5], [[0, 0, 0]] * 2),
+    "compass": ("x_m,y_m,bearing_deg\n1,2,0\n5,6,135\n", [0, 0], [[90, 0, 0], [-45, 0, 0]]),
     "pitch without facing": ("id,x_m,y_m,pitch_deg\n1,1,2,30\nb,5,6,0\n", [0, 0], [[0, 30, 0], [0, 0, 0]]),
 }  # fmt: skip
 
@@ -82,7 +83,7 @@ def test_the_shipped_anchors_are_a_file_like_any_other(here):
 
 
 BAD = {
-    "no y": ("x_m,z_m\n1,2\n", ["it has x_m, z_m", ", ".join(COLUMNS[-4:])]),
+    "no y": ("x_m,z_m\n1,2\n", ["it has x_m, z_m", ", ".join(COLUMNS[-5:-1])]),
     "misspelt": ("x_m,ym\n1,2\n", ["did you mean 'ym'"]),
     "twice": ("x_m,y_m,z_m,z_m\n1,2,3,3\n", ["each once"]),
     "empty": ("", ["line 1 is empty"]),
@@ -91,6 +92,8 @@ BAD = {
     "empty cell": ("x_m,y_m,z_m\n1,2,\n", ["line 2 has z_m=nan"]),
     "text": ("x_m,y_m,facing_deg\n1,2,north\n", ["line 2 has facing_deg='north'"]),
     "far round": ("x_m,y_m,facing_deg\n1,2,3600\n", ["line 2 has facing_deg=3600", "+-360"]),
+    "two directions": ("x_m,y_m,facing_deg,bearing_deg\n1,2,3,4\n", ["either facing_deg or bearing_deg"]),
+    "bearing": ("x_m,y_m,bearing\n1,2,3\n", ["call it facing_deg if it is that (bearing_deg if clockwise"]),
     "facing": ("x_m,y_m,facing\n1,2,90\n", ["'facing'", "call it facing_deg"]),
     "yaw": ("x_m,y_m,yaw_deg\n1,2,90\n", ["'yaw_deg'", "call it facing_deg"]),
     "tilt": ("x_m,y_m,Tilt (deg)\n1,2,90\n", ["'Tilt (deg)'", "call it pitch_deg"]),

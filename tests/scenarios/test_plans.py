@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aoabench.devices.anchors import read_anchors
+from aoabench.devices.floor_plan import FloorPlan
 from aoabench.devices.geodesy import Origin
 from aoabench.errors import BadValue
 from aoabench.models.motion import ConstantAcceleration
@@ -108,10 +109,13 @@ def test_rooms_are_separate_and_a_route_through_their_wall_is_told():
     assert not other.hears(other.truth(None)[:, :3]).any()
     through = site(route=[[1, 1], [20, 1], [20, 4], [5, 4]])
     (note,) = through.notes
-    assert "the route goes through 2 walls, first near (12, 1)" in note
+    assert "the route goes through or touches walls at 2 places, first near (12, 1)" in note
     assert inside.notes == ()
-    touching = site(route=[[1, 1], [11, 1], [11, 6]])
-    assert touching.notes == ()
+    files = [Path("local.csv"), Path("local.geojson")]
+    plan = FloorPlan.read(files)
+    for highest, places in ((5.99, None), (6, 1), (6.5, 2)):
+        notes = plan.crossings(np.array([[1.0, 1], [11, highest], [2, 1]]))
+        assert [f"at {places} places" in note for note in notes] == [True] * (places is not None)
 
 
 def test_a_turn_back_is_a_route():
@@ -135,3 +139,29 @@ def test_clocks_and_heights():
     Path("a.csv").write_text("Lat,Lon,z_m\n60,24,3\n60,24.0001,4\n")
     found = read_anchors("anchors", "a.csv", HERE)
     np.testing.assert_allclose(found.anchors.position[0, 0, :, 2], [3, 4], atol=1e-5)
+
+
+def test_a_route_with_heights():
+    Path("way.csv").write_text("x_m,y_m,z_m\n1,1,1\n11,1,3\n11,5,2\n1,5,2\n")
+    mine = site(route="way.csv")
+    truth = mine.truth(None)
+    flat = site()
+    np.testing.assert_array_equal(
+        truth[:, [0, 1, 3, 4, 6, 7]], flat.truth(None)[:, [0, 1, 3, 4, 6, 7]]
+    )
+    corners = [np.argmin(np.linalg.norm(truth[:, :2] - p, axis=1)) for p in ROUTE]
+    np.testing.assert_allclose(truth[corners, 2], [1, 3, 2, 2], atol=0.03)
+    np.testing.assert_allclose(np.diff(truth[:, 2]) / 0.1, truth[1:, 5], atol=0.2)
+    assert np.isclose(np.diff(truth[:, 2]) / 0.1, truth[1:, 5]).mean() > 0.95
+    degrees_ = HERE.geodetic(np.column_stack([ROUTE, [1, 3, 2, 2]])).tolist()
+    rows = "".join(f"{a!r},{b!r},{h!r}\n" for a, b, h in degrees_)
+    Path("globe_way.csv").write_text("lat,lon,height_m\n" + rows)
+    again = site(route="globe_way.csv", origin_deg=[60.0, 24.0])
+    np.testing.assert_allclose(again.truth(None), truth, atol=1e-5)
+
+
+@pytest.mark.parametrize("route", [ROUTE, "local_way.csv", "globe.gpx"])
+def test_filters_start_at_the_first_waypoint(route, rng):
+    mine = site(route=route, origin_deg=[60.0, 24.0])
+    starts = [mine.prior(rng, None)[0] for _ in range(400)]
+    np.testing.assert_allclose(np.mean(starts, axis=0)[:3], [1, 1, 1], atol=0.2)

@@ -413,7 +413,8 @@ def test_own_files_come_first_and_any_path_will_do(here):
     ("x_m,y_m,z_m,facing_deg\n1,2,3\n", "line 2 has facing_deg=nan"),
     ("x_m,y_m,z_m,facing_deg\n1,nan,3,0\n", "line 2 has y_m=nan"),
     ("x_m,y_m,z_m,facing_deg\n1,inf,3,0\n", "finite number"),
-    (b"\xff\xfe\x00x", "byte 0 is not UTF-8"),
+    (b"x\x00y", "byte 1 is 0, as in binary files"),
+    (b"\xff\xfe\x00x", "no names of columns"),
 ])  # fmt: skip
 def test_a_bad_anchor_file_gives_one_clear_line(text, says, here):
     if text is not None:
@@ -464,7 +465,7 @@ def test_a_bad_wall_file_gives_one_clear_line(content, says, here):
     ("w.csv", "x0_m,y0_m,x1_m,y1_m\n", "at least one row"),
     ("w.csv", "x0_m,y0_m,x1_m,y1_m\n1,2,1,2\n", "at least one wall, or null for none"),
     ("w.csv", "x0_m,y0_m,x1_m,y1_m\n0,0,1,\n", "line 2 has y1_m=nan"),
-    ("w.svg", "<svg/>", ".geojson (or .json), .csv or .dxf"),
+    ("w.svg", "<svg/>", ".geojson (or .json), .csv (or another table) or .dxf"),
 ])  # fmt: skip
 def test_bad_walls_in_other_formats(name, text, says, here):
     (here / name).write_text(text)

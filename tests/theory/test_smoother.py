@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import optimize, stats
+from scipy.linalg import block_diag
 
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
@@ -20,11 +21,13 @@ from aoabench.filters.smoother import RTSSmoother, smoothed
 from aoabench.filters.track_model import inverse_root
 from aoabench.maths.geometry import to_unit
 from aoabench.models.azel import AzEl, AzElAdaptive
+from aoabench.models.motion import ConstantVelocity as FreeMotion
 from aoabench.models.unit_vector import UnitVector
 from aoabench.noise.angular import FlippedAngles
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch, Outcome, Reason
 from tests.helpers import Place
+from tests.theory import test_laws_of_filters as laws
 from tests.theory.test_kalman import ConstantVelocity, Line, linear_problem
 
 R, T = 5, 12
@@ -36,23 +39,24 @@ SMOOTHERS = {
 }
 
 
-def dense_posterior(h, batch, y, i, motion):
+def dense_posterior(h, batch, y, i, motion, intervals=None):
     """Means (T, 3) and covariances (T, 3, 3) of the positions of replication i: all states are one
-    normal vector, which is conditioned on all measurements at once.
+    normal vector, which is conditioned on all measurements at once. intervals (T,) s.
     """
-    F, Q = motion.matrices(0.5)
-    n, steps = len(F), y.shape[1]
+    steps, n = y.shape[1], batch.prior_mean.shape[1]
+    each = [motion.matrices(dt) for dt in np.full(steps, 0.5) if intervals is None]
+    each = each or [motion.matrices(float(dt)) for dt in intervals]
     mean, cov = batch.prior_mean[i], batch.prior_cov
     means, A = [], np.zeros((steps * n, (steps + 1) * n))  # the states from x_0 and the noises
-    for k in range(steps):
+    for k, (F, _) in enumerate(each):
         mean = F @ mean
         means.append(mean)
-        for j in range(k + 2):
-            A[k * n : (k + 1) * n, j * n : (j + 1) * n] = np.linalg.matrix_power(
-                F, k + 1 - j if j else k + 1
-            )
-    W = np.kron(np.eye(steps + 1), Q)
-    W[:n, :n] = cov
+        now, before = slice(k * n, (k + 1) * n), slice((k - 1) * n, k * n)
+        A[now] = F @ A[before] if k else 0.0
+        A[now, (k + 1) * n : (k + 2) * n] = np.eye(n)
+        if k == 0:
+            A[now, :n] = F
+    W = block_diag(cov, *(Q for _, Q in each))
     prior, mu = A @ W @ A.T, np.concatenate(means)
     seen = ~np.isnan(y[i].ravel())
     H = np.kron(np.eye(steps), np.array(h.H))[seen]
@@ -79,6 +83,29 @@ def test_linear_model_equals_the_dense_posterior(make, missing, engine, rng):
         assert np.abs(estimates.position[i] - mean).max() < 1e-10
         assert np.abs(estimates.covariance[i] - covariance).max() < 1e-10
     assert np.all(estimates.outcome == Outcome.OK)
+
+
+TIMES = {
+    "one for all": np.array([[0.0, 0.2, 0.2, 0.9, 1.0, 1.1, 4.0, 4.1, 4.1, 5.0, 5.5, 6.0]]),
+    "own": np.cumsum(np.random.default_rng(2).choice([0.0, 0.1, 0.5, 3.0], (R, T)), axis=1),
+}
+
+
+@pytest.mark.parametrize("engine", ["auto", "numpy"])
+@pytest.mark.parametrize("make", SMOOTHERS.values(), ids=SMOOTHERS)
+@pytest.mark.parametrize("time", TIMES.values(), ids=TIMES)
+def test_steps_of_any_length_equal_the_dense_posterior(make, time, engine, rng):
+    """Several steps of one time, long ones, and unknown times, which count as the step before."""
+    h, batch, y = linear_problem(rng, R, T)
+    time = time.copy()
+    time[:, 3] = np.nan
+    found = make(h, engine)(replace(batch, time=time), Line(motion=FreeMotion()), STREAMS)
+    filled = np.where(np.isnan(time), time[:, [2] * T], time)
+    for i in range(R):
+        intervals = np.diff(filled[i % len(filled)], prepend=0.0)
+        mean, covariance = dense_posterior(h, batch, y, i, FreeMotion(), intervals)
+        assert np.abs(found.position[i] - mean).max() < 1e-10
+        assert np.abs(found.covariance[i] - covariance).max() < 1e-10
 
 
 class Noiseless:
@@ -258,6 +285,19 @@ def test_squared_errors_agree_with_the_covariances(make, n):
     assert np.all(
         (nees[:, [0, 7, 14]].mean(axis=0) > low) & (nees[:, [0, 7, 14]].mean(axis=0) < high)
     )
+
+
+EXACT = {"shift": 1e-6, "permuted": 1e-8, "rotation": 1e-8, "scale": 1e-8}  # m
+
+
+@pytest.mark.parametrize("law", EXACT)
+@pytest.mark.parametrize("h", MODELS.values(), ids=MODELS)
+@pytest.mark.parametrize("n", [3, 6])
+def test_a_moved_problem_gives_the_moved_track(law, h, n):
+    given = laws.problem(n)
+    for smoother in (RTSSmoother(EKF(h)), MAPSmoother(h, tolerance=1e-12)):
+        before, after = laws.run(smoother, *given), laws.run(smoother, *laws.LAWS[law](*given))
+        assert np.abs(laws.BACK[law](after.position) - before.position).max() < EXACT[law]
 
 
 @pytest.mark.parametrize("engine", ["auto", "numpy"])

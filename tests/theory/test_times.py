@@ -13,7 +13,7 @@ from aoabench.filters.particle import ParticleFilter
 from aoabench.maths.geometry import LIGHT
 from aoabench.maths.times import elapsed
 from aoabench.models.azel import AzEl
-from aoabench.models.motion import ConstantAcceleration, ConstantVelocity, RandomWalk
+from aoabench.models.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, motion_of
 from aoabench.models.unit_vector import UnitVector
 from aoabench.streams import Streams
 from aoabench.types import Anchors, Batch
@@ -100,6 +100,13 @@ def test_matrices_are_those_of_the_differential_equation(motion):
     assert np.allclose(Q, F @ M[:n, n:], rtol=1e-12, atol=1e-14)
 
 
+def test_motions_by_name():
+    assert motion_of("random_walk") == RandomWalk()
+    assert motion_of("constant_velocity") == ConstantVelocity()
+    assert motion_of(None) is None
+    assert motion_of(MOTIONS[2]) is MOTIONS[2]
+
+
 def test_elapsed_time():
     time = np.array([[3.0, 3.5, np.nan, 4.5, np.nan], [np.nan, 1.0, 1.0, 3.0, 3.0]])
     assert elapsed(time, None).tolist() == [[0, 0.5, 0, 1, 0], [0, 0, 0, 2, 0]]
@@ -142,6 +149,35 @@ def test_a_linear_model_equals_the_exact_filter(make, rng):
             x, P = x + K @ (y[i, k] - H @ x), P - K @ H @ P
             assert np.allclose(found.position[i, k], x[:3], rtol=1e-9, atol=1e-9)
             assert np.allclose(found.covariance[i, k], P[:3, :3], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", FILTERS[:2])
+def test_packets_of_one_time_are_one_step(make, rng):
+    """A linear model: each packet as a step of its own, or all in one; those of a time last count."""
+    R, m, motion = 2, 4, MOTIONS[1]
+    H, r = rng.normal(size=(m, 6)), rng.uniform(0.1, 2.0, m)
+    y, time = rng.normal(size=(R, T, m)), np.cumsum(rng.uniform(0.1, 1, (R, T)), axis=1)
+    at = Anchors(np.zeros((1, 3)), np.eye(3)[None])
+    method, place = make(Linear(tuple(map(tuple, H)), tuple(r))), Track(at, motion=motion)
+    prior = {"prior_mean": rng.normal(size=(R, 6)), "prior_cov": np.eye(6) + 0.2}
+    one = Batch(y[..., :2], y[..., 2:], at, time=time, **prior)
+    each = np.where(np.eye(m, dtype=bool), y[:, :, None], np.nan).reshape(R, T * m, m)
+    alone = Batch(each[..., :2], each[..., 2:], at, time=np.repeat(time, m, axis=1), **prior)
+    once, apart = (method(b, place, streams(R)) for b in (one, alone))
+    assert np.allclose(apart.position[:, m - 1 :: m], once.position, rtol=1e-9, atol=1e-10)
+    assert np.allclose(apart.covariance[:, m - 1 :: m], once.covariance, rtol=1e-9, atol=1e-10)
+
+
+def test_a_motion_that_takes_no_arrays_is_named(anchors):
+    class Scalar(RandomWalk):
+        def matrices(self, dt):
+            return np.eye(3), np.ones((2, 3, 3)) * np.mean(dt)
+
+    nothing = np.full((1, 3, B), np.nan)
+    batch = Batch(nothing, nothing, anchors, prior_mean=np.zeros((1, 3)), prior_cov=np.eye(3),
+                  time=np.array([[1.0, 2.0, 4.0]]))  # fmt: skip
+    with pytest.raises(ValueError, match=r"Scalar.matrices must return F and Q \(\.\.\., 3, 3\)"):
+        believed(batch, Track(anchors, motion=Scalar()))
 
 
 @OF_MOTION
