@@ -103,7 +103,7 @@ def _from_files(request: Request, plan: str | None, max_sigma: float | None, out
     found = located.locate(asked, max_sigma, report)
     for line in (*asked.cell.notes, *(drawn.notes if drawn else ())):
         echo(line, file=sys.stderr)
-    files.write(found.frame, out, asked.cell.config, asked.scenario.origin)
+    files.write(found.frame, out, asked.cell.config, asked.scenario.anchors_file.origin)
     for line in found.errors:
         report(line)
     _print(found)
@@ -148,7 +148,7 @@ def _print(found: Located) -> None:
     for line in (*summary.head(frame, _SHOWN), *summary.lines(frame, asked.name)):
         say(line)
     sense = asked.scenario.azimuth_sense
-    for line in summary.residual_lines(found.residuals, asked.scenario.anchor_names, sense):
+    for line in summary.residual_lines(found.residuals, asked.scenario.anchors_file.ids, sense):
         say(line)
     by_mark = asked.scenario.weight == "mark"
     if found.with_truth:

@@ -24,11 +24,11 @@ def plan(path: str, asked: Asked, settings: Mapping[str, Any]) -> Plan:
             allowed = f"; allowed: {', '.join(KEYS)}"
             raise UserError(f"scenario.{key}: unknown key{did_you_mean(key, KEYS) or allowed}")
     given = {KEYS[key]: value for key, value in settings.items()}
-    frame = Frame(origin=asked.scenario.origin, **given)
+    frame = Frame(origin=asked.scenario.anchors_file.origin, **given)
     try:
         found = read_plan("--plan", Path(path), frame)
         if not found.geodetic:
-            asked.scenario.check_local("the plan is local")
+            asked.scenario.anchors_file.check_local("the plan is local")
     except BadValue as error:
         own = error.key in (*KEYS, "origin_deg")
         key = f"scenario.{error.key}" if own else error.key

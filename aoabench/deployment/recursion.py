@@ -73,8 +73,10 @@ class Method:
     def _step(self, method: KalmanFilter, tracks: Tracks, i: int, number: int) -> Solved:
         """The fixes of one track by a Kalman filter."""
         state = self.states.get(number)
-        some = self.scenario.with_tracks(tracks, None if state is None else state.time)
-        batch = Draws(some, RecordedNoise(), seed=0).drawn(i, 1).whole
+        motion, start_s = self.scenario.motion, None if state is None else state.time
+        some = self.scenario.with_tracks(tracks, start_s, motion)
+        drawn = some if state is None else some.with_tracks(tracks)  # which computes no prior
+        batch = Draws(drawn, RecordedNoise(), seed=0).drawn(i, 1).whole
         if state is not None:
             batch = replace(batch, prior_mean=state.mean, prior_cov=state.covariance)
         found, belief = method.recursion(batch, some, whole=True)

@@ -30,6 +30,7 @@ from aoabench.errors import BadValue, check_array, listed
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
 from aoabench.models.motion import motion_of
+from aoabench.roles import Motion
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
 from aoabench.scenarios.log_parameters import LogParameters
@@ -137,23 +138,18 @@ class Recorded(LogParameters):
         return anchors if own else Anchors(anchors.position, upright)
 
     @property
-    def anchor_names(self) -> list[str]:
-        """The anchors' names (B,)."""
-        return self._anchors.ids
+    def anchors_file(self) -> AnchorsFile:
+        """The content of the file of anchors."""
+        return self._anchors
 
-    @property
-    def origin(self) -> Origin | None:
-        """The origin of the local coordinates; None where it is unknown."""
-        return self._anchors.origin
-
-    def check_local(self, why: str) -> None:
-        """AnchorsFile.check_local of the anchors."""
-        self._anchors.check_local(why)
-
-    def with_tracks(self, tracks: Tracks, start_s: float | None = None) -> Recorded:
-        """The scenario with other tracks, whose filters start at the time `start_s`."""
+    def with_tracks(
+        self, tracks: Tracks, start_s: float | None = None, motion: Motion | None = None
+    ) -> Recorded:
+        """The scenario with other tracks, whose filters start at the time `start_s`, and with
+        another motion model.
+        """
         found = copy(self)
-        vars(found).update(_read=Read(tracks, ()), start_s=start_s)
+        vars(found).update(_read=Read(tracks, ()), start_s=start_s, motion=motion)
         return found
 
     def offers(self) -> frozenset[str]:

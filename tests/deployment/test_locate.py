@@ -143,7 +143,7 @@ def test_geojson_of_anchors_in_degrees_is_in_degrees(room, log):
         lines.append(f"{name},{lat!r},{lon!r},{height!r},{facing}")
     (room / "anchors.csv").write_text("\n".join(lines) + "\n")
     found = located_in(log(rows_of(POINTS)), room, "scenario.origin_deg=[60.0,24.0]")
-    files.write(found.frame, room / "out.geojson", origin=found.asked.scenario.origin)
+    files.write(found.frame, room / "out.geojson", origin=found.asked.scenario.anchors_file.origin)
     document = json.loads((room / "out.geojson").read_text())
     assert "units" not in document
     for feature, point in zip(document["features"], POINTS):

@@ -23,7 +23,7 @@ def drawn(room, log):
     anchors = asked.scenario.true_anchors
 
     def draw(change=lambda frame: frame, **more):
-        place = anchors.position[0, 0], asked.scenario.anchor_names, anchors.rotation[0, 0]
+        place = anchors.position[0, 0], asked.scenario.anchors_file.ids, anchors.rotation[0, 0]
         figure = report.figure(change(found.frame), report.Surroundings(*place, **more), "title")
         return figure.axes[0], found.frame
 
