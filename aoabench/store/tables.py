@@ -3,7 +3,7 @@
 <out>/cells/<cell>.json                    the estimators and replications that the tables show
 <out>/{replications,steps}.parquet/        one file per cell
 <out>/{cells,summary,timing,failures,precision}.parquet
-<out>/tidy.parquet                         all replications with swept parameters, as `load` returns them
+<out>/tidy.parquet                         all replications with swept parameters, as in `load`
 
 A reader takes the tables that the manifest names (see store.manifest), so that it never sees half
 of a collect.
