@@ -3,8 +3,7 @@
 <out>/cells/<cell>.json                    the estimators and replications that the tables show
 <out>/{replications,steps}.parquet/        one file per cell
 <out>/{cells,summary,timing,failures,precision}.parquet
-<out>/tidy.parquet                         all replications with their cells' swept parameters;
-                                           the frame that `load` returns
+<out>/tidy.parquet                         all replications with swept parameters, as in `load`
 
 A reader takes the tables that the manifest names (see store.manifest), so that it never sees half
 of a collect.
@@ -101,9 +100,10 @@ def _before(index: Index, changed: Collection[str]) -> _Before | None:
         order = generation.read("cells", ["cell"])["cell"].to_pylist()
         counts = {cell: index.earlier[cell][1] for cell in order}
         rows = tidy.Earlier(generation.data("tidy"), counts)
-        if any(
-            version_in(table.schema.metadata, generation.out) < SCHEMA for table in kept.values()
-        ) or not set(SUMMARY).issubset(kept["summary"].column_names):
+        lacking = set(SUMMARY).difference(kept["summary"].column_names)
+        lacking |= set(FAILURES).difference(kept["failures"].column_names)
+        old = [t for t in kept.values() if version_in(t.schema.metadata, generation.out) < SCHEMA]
+        if lacking or old:
             return None
     except (RunError, FileNotFoundError, KeyError):
         return None

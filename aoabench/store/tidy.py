@@ -23,7 +23,9 @@ RowsOf = Callable[[str], "pa.Table"]
 
 
 class Earlier:
-    """The replications of a tidy table of which each cell's number of rows is known, in order."""
+    """The replications of a tidy table of which each cell's number of rows is known, in order;
+    columns that an earlier version did not write are null.
+    """
 
     def __init__(self, data: bytes, rows: Mapping[str, int]) -> None:
         import pyarrow as pa
@@ -37,7 +39,15 @@ class Earlier:
         self.spans = dict(zip(rows, zip([0, *ends], ends)))
 
     def _read(self, group: int) -> pa.Table:
-        return self._file.read_row_group(group, list(REPLICATIONS))
+        import pyarrow as pa
+
+        written = set(self._file.schema_arrow.names)
+        table = self._file.read_row_group(group, [n for n in REPLICATIONS if n in written])
+        columns = [
+            table[f.name] if f.name in written else pa.nulls(len(table), f.type)
+            for f in schema(REPLICATIONS)
+        ]
+        return pa.table(columns, names=list(REPLICATIONS))
 
     def rows(self, start: int, stop: int) -> Iterator[pa.Table]:
         """The rows start ... stop-1."""

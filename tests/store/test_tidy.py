@@ -53,3 +53,18 @@ def test_rows_come_from_the_earlier_table_where_it_has_them(
     del earlier.spans["c"]
     assert written(path, list(cells), rows_of, earlier) == expected
     assert asked == ["c"] * ("c" in cells)
+
+
+def test_columns_that_an_earlier_version_did_not_write_are_empty(tmp_path):
+    path = tmp_path / "tidy.parquet"
+    written(path, list("abcd"), lambda cell: rows(cell, COUNTS[cell]), None)
+    old = pq.read_table(path).drop_columns(["tag", "reason"])
+    pq.write_table(old, path, write_page_checksum=True)
+    earlier = tidy.Earlier(path.read_bytes(), COUNTS)
+    (first,) = earlier.rows(0, 3)
+    assert first.schema.equals(rows("a", 3).schema)
+    assert first["replication"].to_pylist() == [0, 1, 2]
+    assert first["tag"].null_count == first["reason"].null_count == 3
+    earlier.spans.pop("b")
+    found = written(path, list("abcd"), lambda cell: rows(cell, COUNTS[cell]), earlier)
+    assert [cell for cell, _, _ in found] == list("aaabccccdd")
