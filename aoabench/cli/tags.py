@@ -54,9 +54,11 @@ def tags_text(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     if (frame["tracks"] > 1).any():
         shown["tracks"] = frame["tracks"]
     shown["fixes"] = frame["fixes"]
-    for name in ("given", "ok"):
+    counted = {"given": "given", "ok": "ok"}
+    counted |= {n: f"fixes {n}" for n in ("unmeasured", "imprecise") if frame[n].any()}
+    for name, title in counted.items():
         both = zip(frame[name], frame["fixes"])
-        shown[name] = [f"{n} ({100 * n / of:.4g} %)" for n, of in both]
+        shown[title] = [f"{n} ({100 * n / of:.4g} %)" for n, of in both]
     titles = {
         "rmse_xy_m": "RMSE xy [m]",
         "median_error_xy_m": "median error xy [m]",

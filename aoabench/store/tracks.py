@@ -35,17 +35,18 @@ def track_steps(
 
 
 _OF_TAG = ("outcome", "score", "anchors_used", "error_xy_m", "sigma_x_m", "sigma_y_m", "tag")
+_FLAGS = ("n_unmeasured", "imprecise")
 
 
 def by_tag(out: str | os.PathLike[str], cell: str, estimator: str) -> list[dict[str, Any]]:
     """An object for each tag of a recording, in the order of the tracks: one estimator's fixes.
 
-    Each has tag (None without a name), tracks, fixes; given: fixes with a position; ok; rmse_xy_m
-    of those with a known error; median_error_xy_m; the medians of score, anchors_used and
-    sigma_xy_m (the root of the sum of the variances of x and y) over the fixes with a position; NaN
-    where nothing is known.
+    Each has tag (None without a name), tracks, fixes; of them given (with a position), ok,
+    unmeasured, imprecise; rmse_xy_m and median_error_xy_m of the fixes with a known error; the
+    medians of score, anchors_used and sigma_xy_m (the root of the sum of the variances of x and y)
+    over the fixes with a position; NaN where nothing is known.
     """
-    frame = track_steps(out, cell, estimator, _OF_TAG)
+    frame = track_steps(out, cell, estimator, _OF_TAG + _FLAGS)
     frame["tag"] = frame["tag"].fillna("")
     rows = []
     for tag, mine in frame.groupby("tag", sort=False):
@@ -60,6 +61,8 @@ def by_tag(out: str | os.PathLike[str], cell: str, estimator: str) -> list[dict[
                 "fixes": len(mine),
                 "given": len(given),
                 "ok": int((mine["outcome"] == "ok").sum()),
+                "unmeasured": int(mine["n_unmeasured"].sum()),
+                "imprecise": int(mine["imprecise"].sum()),
                 "rmse_xy_m": float((error**2).mean() ** 0.5),
                 "median_error_xy_m": float(error.median()),
                 "score": float(medians["score"]),

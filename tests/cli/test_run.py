@@ -26,7 +26,10 @@ def test_help_shows_presets_and_the_default_config(call, tmp_path):
     status, out, _ = call("run", "--help")
     assert status == 0
     flat = " ".join(out.split())
-    assert "experiment: boquet2024_methods, boquet2024_readings, le2021_errata" in flat
+    assert (
+        "experiment: boquet2024_methods, boquet2024_readings, boquet2024_robust, le2021_errata"
+        in flat
+    )
     assert "\n  reps: 100\n" in out
     assert "_target_: aoabench.scenarios.square_track.SquareTrack" in out
     assert "mine_alone" not in out
