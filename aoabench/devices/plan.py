@@ -239,8 +239,10 @@ def _text(key: str, path: Path) -> str:
 
 def _columns(key: str, path: Path) -> Sequence[str]:
     """The columns of walls; raises BadValue unless a table has each of them once."""
+    allowed = f"a table with the columns {', '.join(WALL_COLUMNS)}, each once"
+    if not path.stat().st_size:
+        raise BadValue(key, str(path), f"{allowed}; it is empty")
     present = header(key, str(path))
     if any(present.count(name) != 1 for name in WALL_COLUMNS):
-        allowed = f"a table with the columns {', '.join(WALL_COLUMNS)}, each once"
         raise BadValue(key, str(path), f"{allowed}; it has {shown_columns(present)}")
     return WALL_COLUMNS

@@ -44,7 +44,7 @@ def test_overrides_whose_words_stay_whole(complete):
     assert complete("run", "noi") == ["noise="]
     assert complete("run", "noise=v") == ["noise=vmf"]
     assert complete("run", "reps=2", "scenario.pa") == ["scenario.path="]
-    assert complete("run", "'filter=[ekf_v") == ["filter=[ekf_vmf]"]
+    assert complete("run", "'filter=[ekf_vmf_") == ["filter=[ekf_vmf_smoother]"]
     lists = complete("run", "'filter=[ekf_vmf,ekf_")
     assert "filter=[ekf_vmf,ekf_aoa]" in lists
     assert "filter=[ekf_vmf,ekf_vmf]" not in lists

@@ -261,14 +261,14 @@ NEEDS = {  # an estimator that needs something, a log that has it not, and words
     "elevation": ("estimator=[ls]", AZIMUTHS, ["scenario='recorded'", "measures elevations", "estimator.ls needs", FITS, "ls_lines"]),
     "elevation of ml": ("estimator=[ml_kcorr]", AZIMUTHS, ["measures elevations", "estimator.ml_kcorr needs", FITS]),
     "elevation of vmf": ("estimator=[vmf_ml]", AZIMUTHS, ["measures elevations", "estimator.vmf_ml needs", FITS]),
-    "rssi": ("estimator=[rssi_anchor]", WHOLE.replace("rssi_dbm", "note"), ["measures signal strengths", "estimator.rssi_anchor needs", FITS, "anchor_mean"]),
-    "rssi that is never available": ("estimator=[rssi_anchor]", DEAF, ["measures signal strengths", "estimator.rssi_anchor needs"]),
+    "rssi": ("estimator=[rssi_anchor] scenario.height_m=1", WHOLE.replace("rssi_dbm", "note"), ["measures signal strengths", "estimator.rssi_anchor needs", FITS, "anchor_mean"]),
+    "rssi that is never available": ("estimator=[rssi_anchor] scenario.height_m=1", DEAF, ["measures signal strengths", "estimator.rssi_anchor needs"]),
     "height": ("estimator=[anchor_mean]", WHOLE.replace("z_m", "up"), ["a known height", "estimator.anchor_mean needs", "scenario.height_m", FITS, "ls_lines"]),
     "height of discrepancy": ("estimator=[discrepancy]", WHOLE.replace("4,1,1", "4,1,2"), ["a known height", "estimator.discrepancy needs", "scenario.height_m"]),
     "truth": ("estimator=[best_anchor]", WHOLE.replace("x_m,y_m", "u,v").replace("z_m", "w"), ["scenario='recorded'", "estimator.best_anchor needs"]),
     "several anchors": ("estimator=[ls_lines]", LONELY, ["two or more anchors measure at a time", "estimator.ls_lines needs", "scenario.window_s"]),
     "several anchors, height free": ("estimator=[vmf_ml]", LONELY, ["two or more anchors measure at a time", "estimator.vmf_ml needs"]),
-    "an anchor": ("estimator=[single_anchor_2]", WHOLE.replace("1,b", "1,c"), ["estimator.single_anchor_2.anchor=2", "an anchor that measured: 1, 3"]),
+    "an anchor": ("estimator=[single_anchor_2] scenario.height_m=1", WHOLE.replace("1,b", "1,c"), ["estimator.single_anchor_2.anchor=2", "an anchor that measured: 1, 3"]),
     "delay": ("estimator=[wcg]", WHOLE, ["times of arrival", "estimator.wcg needs", FITS]),
     "motion": ("filter=[ekf_vmf]", WHOLE, ["scenario='recorded'", "motion model", "filter.ekf_vmf needs", FITS]),
     "motion at access nodes": ("filter=[ekf_aoa]", WHOLE, ["motion model", "filter.ekf_aoa needs", FITS]),
@@ -283,7 +283,8 @@ def test_what_a_log_lacks_is_named_before_the_run(
     monkeypatch.chdir(tmp_path)
     Path("a.csv").write_text(BEACONS)
     Path("l.csv").write_text(log)
-    test_one_clear_line_and_status_2([*LOG, estimator], words, capsys, tmp_path, monkeypatch)
+    given = [*LOG, *estimator.split()]
+    test_one_clear_line_and_status_2(given, words, capsys, tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(("argv", "words"), [
