@@ -35,18 +35,19 @@ def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[s
 
 def _paths(tracks: Tracks, count: int) -> dict[int, Array]:
     """Where each anchor that moves measured, (K, 2) m in the order of time, by its number; a row of
-    NaN ends a track.
+    NaN ends a track, and each point where times are unknown.
     """
     if tracks.poses is None:
         return {}
     heard = np.isfinite(tracks.measured.azimuth) | np.isfinite(tracks.measured.elevation)
     place = np.where(heard[..., None], tracks.poses.position[0, :, :, :2], np.nan)
-    found = {}
+    timed, found = bool(np.isfinite(tracks.time).all()), {}
     for b in range(count):
         own = place[:, tracks.columns == b].reshape(-1, 2)
         track = np.repeat(np.arange(len(tracks.counts)), tracks.counts * (len(own) // len(place)))
         known = np.isfinite(own[:, 0])
         own, track = own[known], track[known]
         if len(own) and np.ptp(own, axis=0).any():
-            found[b] = np.insert(own, np.flatnonzero(np.diff(track)) + 1, np.nan, axis=0)
+            ends = np.diff(track) != 0 if timed else np.full(len(own) - 1, True)
+            found[b] = np.insert(own, np.flatnonzero(ends) + 1, np.nan, axis=0)
     return found

@@ -24,10 +24,10 @@ _GROUPS = ("estimator", "filter", "experiment", "noise")
 class Request:
     """The files and the method of one call of `locate`.
 
-    log: a file, or a pattern of files; anchors: the file of the anchors, None if a setting gives
-    it or the log has the positions of its receivers; format: the log's format, None for the scenario's own choice; estimator or filter: the name
-    of a preset, both None for DEFAULT; truth: a file of true positions; settings: overrides such as
-    scenario.window_s=0.1, which come last.
+    log: a file, or a pattern of files; anchors: the file of the anchors, None if a setting gives it
+    or the log has the positions of its receivers; format: the log's format, None for the scenario's
+    own choice; estimator or filter: the name of a preset, both None for DEFAULT; truth: a file of
+    true positions; settings: overrides such as scenario.window_s=0.1, which come last.
     """
 
     log: str

@@ -90,10 +90,10 @@ class Recorded(LogParameters):
         if len(known):
             source = ("path", self.path) if self.truth_file is None else ("truth", self.truth_file)
             target = Thing("true positions", *source, known)
-            of_file = found.poses is None
-            anchors = ("anchors", self.anchors) if of_file else ("path", self.path)
-            words = "anchors" if of_file else "receivers"
-            check_anchors(Thing(words, *anchors, self.true_anchors.position), target)
+            words, key = "anchors", "anchors"
+            if found.poses is not None:
+                words, key = "receivers", "path"
+            check_anchors(Thing(words, key, getattr(self, key), self.true_anchors.position), target)
 
     @property
     def files(self) -> tuple[DataFile, ...]:
