@@ -21,8 +21,8 @@ from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_parameters import LogParameters
 
 NEEDED = (
-    "the file of the anchors' positions and facings (columns id, x_m, y_m, z_m, facing_deg), or a "
-    "log with the positions of receivers that move (columns anchor_x_m and anchor_y_m, or "
+    "an existing file of the anchors' positions and facings (columns id, x_m, y_m, z_m, facing_deg)"
+    ", or a log with the positions of receivers that move (columns anchor_x_m and anchor_y_m, or "
     "anchor_lat_deg and anchor_lon_deg; scenario.columns.anchor_x ... declare other names)"
 )
 
