@@ -199,6 +199,17 @@ def test_two_tags_and_permuted_rows():
             np.testing.assert_array_equal(array, other)
 
 
+def test_an_anchor_that_was_not_heard_is_where_its_tag_has_it_before_or_else_after():
+    rows = [("p", 0, "a"), ("p", 1, "b"), ("p", 2, "b"), ("p", 3, "a"), ("q", 0, "b"), ("q", 1, "a"), ("q", 1, "b")]  # fmt: skip
+    frame = pd.DataFrame(rows, columns=["tag", "time_s", "anchor"]).assign(azimuth_deg=1.0)
+    frame["anchor_x_m"] = np.arange(7.0)
+    frame["anchor_y_m"] = -frame["anchor_x_m"]
+    position = read(frame).tracks.poses.position[0]
+    np.testing.assert_array_equal(position[:, 0, 0], [0, 0, 0, 3, 5, 5])
+    np.testing.assert_array_equal(position[:, 1, 0], [1, 1, 2, 2, 4, 6])
+    np.testing.assert_array_equal(position[..., 1], -position[..., 0])
+
+
 def test_rows_without_a_pose():
     frame = drive(12)
     frame.loc[[2, 5], ["anchor_x_m", "anchor_y_m"]] = np.nan
