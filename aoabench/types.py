@@ -119,9 +119,7 @@ class Anchors:
         return self.position[:, 0], self.rotation[:, 0]
 
     def of(self, i: int) -> Anchors:
-        """Return the anchors of one replication, in arrays (1, T|1, B, ...); `i` is its index on
-        the first axis. An array that is the same in all replications is returned whole.
-        """
+        """The anchors (1, T|1, B, ...) of the replication at index `i` of the first axis."""
         return Anchors(**{n: a if len(a) == 1 else a[i : i + 1] for n, a in self.arrays.items()})
 
     def at(self, steps: int | np.ndarray) -> Anchors:
@@ -186,7 +184,8 @@ class Tracks:
     each track's tag, "" in a log without tags; several tracks may have the same tag. counts (R,):
     the number of each track's fixes. time (F,) s, NaN = unknown; fix (F,): their names as recorded;
     truth (F, 3) m, NaN = unknown; measured: arrays (F, B); packets (F,): the packets in each fix.
-    columns (B,): the number of each column's anchor; several columns may have the same.
+    columns (B,): the number of each column's anchor; several columns may have the same. poses:
+    those (1, F|1, B, ...) of the columns' anchors in each fix, None where anchors stand still.
     """
 
     tags: tuple[str, ...]
@@ -197,6 +196,7 @@ class Tracks:
     measured: Measurements
     packets: np.ndarray
     columns: np.ndarray
+    poses: Anchors | None = None
 
     @property
     def starts(self) -> np.ndarray:

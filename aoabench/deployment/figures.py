@@ -9,6 +9,7 @@ import numpy as np
 from aoabench.deployment.located import Located
 from aoabench.maths.geometry import Array
 from aoabench.report import campaign, located, plots
+from aoabench.types import Tracks
 
 
 def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[str, Path]]:
@@ -19,7 +20,8 @@ def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[s
     anchors = asked.scenario.true_anchors
     position, rotation = anchors.position[0, 0], anchors.rotation[0, 0]
     names = asked.scenario.anchors_file.ids
-    around = located.Surroundings(position, names, rotation, walls, found.rejected)
+    paths = _paths(asked.scenario.tracks, len(names))
+    around = located.Surroundings(position, names, rotation, walls, found.rejected, paths)
     title = f"{asked.name}: {len(frame)} fixes"
     drawn = [("map", out.with_suffix(".png"))]
     plots.save(lambda: located.figure(frame, around, title), drawn[0][1])
@@ -29,3 +31,23 @@ def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[s
         drawn.append(("errors", out.with_name(f"{out.stem}-errors.png")))
         plots.save(lambda: campaign.cdf(errors), drawn[1][1])
     return drawn
+
+
+def _paths(tracks: Tracks, count: int) -> dict[int, Array]:
+    """Where each anchor that moves measured, (K, 2) m in the order of time, by its number; a row of
+    NaN ends a track, and each point where times are unknown.
+    """
+    if tracks.poses is None:
+        return {}
+    heard = np.isfinite(tracks.measured.azimuth) | np.isfinite(tracks.measured.elevation)
+    place = np.where(heard[..., None], tracks.poses.position[0, :, :, :2], np.nan)
+    timed, found = bool(np.isfinite(tracks.time).all()), {}
+    for b in range(count):
+        own = place[:, tracks.columns == b].reshape(-1, 2)
+        track = np.repeat(np.arange(len(tracks.counts)), tracks.counts * (len(own) // len(place)))
+        known = np.isfinite(own[:, 0])
+        own, track = own[known], track[known]
+        if len(own) and np.ptp(own, axis=0).any():
+            ends = np.diff(track) != 0 if timed else np.full(len(own) - 1, True)
+            found[b] = np.insert(own, np.flatnonzero(ends) + 1, np.nan, axis=0)
+    return found

@@ -99,7 +99,8 @@ class Live:
     def _located(self, packets: Packets, groups: Groups) -> pd.DataFrame:
         """The table of closed fixes."""
         scenario = self.asked.scenario
-        found = combined(packets, groups, scenario.true_anchors.count, scenario.combine)
+        known = scenario.anchors_file.ids
+        found = combined(packets, groups, len(known), scenario.combine)
         tags = [packets.tags[i] for i in groups.tag]
         track, number = self.numbering.of(tags, found.time)
         numbered = packets.fix is not None or packets.sequence is not None
@@ -114,6 +115,7 @@ class Live:
             measured=found.measured,
             packets=found.packets,
             columns=found.columns,
+            poses=scenario.poses_of(found, groups.tag),
         )
         solved = self.method.solve(tracks, track[first])
         return fixes.table(tracks, solved, self.max_sigma_m, numbers=track[first])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from aoabench.errors import UserError
 from aoabench.report.text import shown_name
 from aoabench.roles import Estimator
+from aoabench.scenarios.log_anchors import NEEDED
 from aoabench.scenarios.recorded import Recorded
 
 if TYPE_CHECKING:
@@ -23,10 +24,10 @@ _GROUPS = ("estimator", "filter", "experiment", "noise")
 class Request:
     """The files and the method of one call of `locate`.
 
-    log: a file, or a pattern of files; anchors: the file of the anchors, None if a setting gives
-    it; format: the log's format, None for the scenario's own choice; estimator or filter: the name
-    of a preset, both None for DEFAULT; truth: a file of true positions; settings: overrides such as
-    scenario.window_s=0.1, which come last.
+    log: a file, or a pattern of files; anchors: the file of the anchors, None if a setting gives it
+    or the log has the positions of its receivers; format: the log's format, None for the scenario's
+    own choice; estimator or filter: the name of a preset, both None for DEFAULT; truth: a file of
+    true positions; settings: overrides such as scenario.window_s=0.1, which come last.
     """
 
     log: str
@@ -48,13 +49,6 @@ class Request:
             if group in _GROUPS:
                 flag = f"--{group}" if group in ("estimator", "filter") else "`aoabench run`"
                 raise UserError(f"{word}: not allowed in `locate`; allowed: {flag}")
-        if self.anchors is None and not any(
-            word.startswith("scenario.anchors=") for word in self.settings
-        ):
-            raise UserError(
-                "--anchors is missing: the file of the anchors' positions and facings "
-                "(columns id, x_m, y_m, z_m, facing_deg)"
-            )
 
     @property
     def words(self) -> list[str]:
@@ -82,7 +76,12 @@ class Request:
         """The recording and the method; raises UserError for every mistake in the input."""
         from aoabench.config.compose import compose_cells
 
-        (cell,) = compose_cells(self.words, sweep=False, say=say)
+        try:
+            (cell,) = compose_cells(self.words, sweep=False, say=say)
+        except UserError as error:
+            if self.anchors is None and NEEDED in str(error):
+                raise UserError(f"--anchors is missing: {NEEDED}") from None
+            raise
         return Asked.of(cell)
 
 

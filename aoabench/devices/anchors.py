@@ -61,7 +61,7 @@ class AnchorsFile(NamedTuple):
 
     clock_offset_s (B,): how far each anchor's clock is ahead, in s, or None. origin: that of the
     local coordinates, None where it is unknown; assumed: whether it is the anchors' centroid,
-    because none is declared.
+    because none is declared. of_log: whether there is no file, and the log has their positions.
     """
 
     ids: list[str]
@@ -72,6 +72,7 @@ class AnchorsFile(NamedTuple):
     clock_offset_s: Array | None = None
     origin: Origin | None = None
     assumed: bool = False
+    of_log: bool = False
 
     def check_local(self, why: str) -> None:
         """Raise BadValue if local coordinates, which `why` names, have an origin that nobody

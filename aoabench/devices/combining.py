@@ -15,6 +15,7 @@ import numpy as np
 
 from aoabench.devices.grouping import Groups
 from aoabench.devices.packets import Packets
+from aoabench.devices.poses import POSE
 from aoabench.errors import BadValue
 from aoabench.maths.geometry import Array, wrap
 from aoabench.types import Measurements
@@ -26,6 +27,7 @@ _ADVICE = (
 )
 SAME_M = 0.5  # m; true positions of a fix that differ by more are reported
 MOST_CELLS = 2**27
+POSE_CELLS = 16  # the numbers of a packet with its pose
 ROWS = ("error", "first", "last")
 ANGLES = ("azimuth", "elevation")
 
@@ -34,7 +36,8 @@ ANGLES = ("azimuth", "elevation")
 class Combined:
     """The measurements (F, C) of fixes, and the anchor (C,) of each column; per fix the mean time
     (F,) s of its packets and the mean true position (F, 3) m of those used, NaN = unknown, and the
-    number (F,) of its packets, used or not; remarks to print.
+    number (F,) of its packets, used or not; remarks to print. poses: arrays (F, C) under the names
+    POSE, NaN where nothing was measured; {} for anchors that stand still.
     """
 
     measured: Measurements
@@ -43,6 +46,7 @@ class Combined:
     truth: Array
     packets: np.ndarray
     notes: tuple[str, ...]
+    poses: dict[str, Array]
 
 
 def combined(packets: Packets, groups: Groups, anchors: int, combine: str) -> Combined:
@@ -60,25 +64,27 @@ def combined(packets: Packets, groups: Groups, anchors: int, combine: str) -> Co
     keep = {"error": new, "first": new, "last": np.append(new[1:], True)}.get(combine)
     used = order if keep is None else order[keep]
     columns, column = np.arange(anchors), packets.anchor[used]
-    values = {name: value[used] for name, value in packets.values.items()}
+    values, moved = _measured({name: value[used] for name, value in packets.values.items()}), 0.0
     if combine == "each":
         columns, column = _each(packets, groups, used, new, anchors)
     elif keep is None:
-        values = _averaged(values, np.cumsum(new) - 1, combine)
+        values, moved = _averaged(values, np.cumsum(new) - 1, combine)
         column = column[new]
     rows = groups.code[used] if keep is not None or combine == "each" else groups.code[used][new]
     arrays = {name: np.full((groups.count, len(columns)), np.nan) for name in values}
     for name, value in values.items():
         arrays[name][rows, column] = value
     code = groups.code[used]
-    truth, spread = _true(packets.truth[used], code, groups.count)
+    truth, spread = _centres(packets.truth[used], code, groups.count)
+    poses = {name: arrays.pop(name) for name in POSE if name in arrays}
     return Combined(
         Measurements(**arrays),
         columns,
         _means(groups.time[order], groups.code[order], groups.count),
         truth,
         np.bincount(groups.code, minlength=groups.count),
-        _notes(packets, len(used), spread),
+        _notes(packets, len(used), spread, moved),
+        poses,
     )
 
 
@@ -101,7 +107,8 @@ def _check_equal(packets: Packets, order: np.ndarray, new: np.ndarray) -> None:
         differs = np.flatnonzero((one != other) & ~(np.isnan(one) & np.isnan(other)))
         if len(differs):
             rows = sorted((int(first[differs[0]]), int(order[differs[0]])))
-            shown = ", ".join(packets.table.at(row, "anchor", "azimuth") for row in rows)
+            cells = [name for name in ("anchor", "azimuth") if name in packets.table.names]
+            shown = ", ".join(packets.table.at(row, *cells) for row in rows)
             raise packets.table.bad(f"{_ADVICE}; {shown}")
 
 
@@ -116,7 +123,8 @@ def _each(
     most = np.zeros(anchors, dtype=np.int64)
     np.maximum.at(most, anchor, nth + 1)
     most = np.maximum(most, 1)
-    if groups.count * int(most.sum()) > MOST_CELLS:
+    weight = POSE_CELLS if POSE[0] in packets.values else 1
+    if groups.count * int(most.sum()) * weight > MOST_CELLS:
         allowed = (
             f"mean or median for this log: one fix has {most.max()} packets of an anchor, and "
             f"{groups.count} fixes with a column for each are too many cells"
@@ -126,22 +134,46 @@ def _each(
     return np.repeat(np.arange(anchors), most), start[anchor] + nth
 
 
-def _averaged(values: dict[str, Array], group: np.ndarray, combine: str) -> dict[str, Array]:
-    """The mean or median of each group of rows (N,), which are sorted by group, by name."""
+def _measured(values: dict[str, Array]) -> dict[str, Array]:
+    """The values (N,) with a NaN as the pose of a packet that measured nothing."""
+    if POSE[0] not in values:
+        return values
+    seen = [np.isfinite(values[name]) for name in (*ANGLES, "delay") if name in values]
+    heard = np.any(seen, axis=0)
+    return values | {name: np.where(heard, values[name], np.nan) for name in POSE}
+
+
+def _averaged(
+    values: dict[str, Array], group: np.ndarray, combine: str
+) -> tuple[dict[str, Array], float]:
+    """The mean or median of each group of rows (N,), which are sorted by group, by name; of poses
+    the mean. And the largest extent in m of a group's poses in x or y.
+    """
     count = int(group[-1]) + 1
     middle = _medians if combine == "median" else _means
-    found = {}
+    found, moved = {}, 0.0
     for name, value in values.items():
         if name in ANGLES:
-            sine, cosine = (_means(f(value), group, count) for f in (np.sin, np.cos))
-            centre = np.arctan2(sine, cosine)
-            if combine == "median":
-                centre = wrap(centre + _medians(wrap(value - centre[group]), group, count))
-            low, high = _extent(value, group, count)
-            found[name] = np.where(low == high, low, centre)
-        else:
+            found[name] = _circular(value, group, count, combine == "median")
+        elif name not in POSE:
             found[name] = middle(value, group, count)
-    return found
+    if POSE[0] in values:
+        place, moved = _centres(np.stack([values[n] for n in POSE[:3]], axis=-1), group, count)
+        facing = _circular(values[POSE[3]], group, count, False)
+        found |= dict(zip(POSE, (*place.T, facing)))
+    return found, moved
+
+
+def _circular(value: Array, group: np.ndarray, count: int, median: bool) -> Array:
+    """The circular means or medians (count,) rad of groups of angles (N,) rad, NaN for a group
+    without any; exact where a group has one angle.
+    """
+    sine, cosine = (_means(f(value), group, count) for f in (np.sin, np.cos))
+    centre = np.arctan2(sine, cosine)
+    if median:
+        centre = wrap(centre + _medians(wrap(value - centre[group]), group, count))
+    low, high = _extent(value, group, count)
+    return np.where(low == high, low, centre)
 
 
 def _means(value: Array, group: np.ndarray, count: int) -> Array:
@@ -177,9 +209,9 @@ def _extent(value: Array, group: np.ndarray, count: int) -> tuple[Array, Array]:
     return low, high
 
 
-def _true(truth: Array, code: np.ndarray, count: int) -> tuple[Array, float]:
-    """The mean true positions (count, 3) m of fixes, and the largest extent of a fix's in x or y;
-    exact where a fix's packets have one position.
+def _centres(truth: Array, code: np.ndarray, count: int) -> tuple[Array, float]:
+    """The mean positions (count, 3) m of groups, and the largest extent of a group's in x or y;
+    exact where a group's packets have one position.
     """
     found, spread = np.empty((count, 3)), 0.0
     for axis in range(3):
@@ -190,8 +222,10 @@ def _true(truth: Array, code: np.ndarray, count: int) -> tuple[Array, float]:
     return found, spread
 
 
-def _notes(packets: Packets, used: int, spread: float) -> tuple[str, ...]:
-    """Remarks on packets that are not used, and on true positions that differ within a fix."""
+def _notes(packets: Packets, used: int, spread: float, moved: float) -> tuple[str, ...]:
+    """Remarks on packets that are not used, and on true positions and receivers that move within a
+    fix.
+    """
     notes, path = [], packets.table.path
     if lost := packets.count - used:
         notes.append(
@@ -201,5 +235,10 @@ def _notes(packets: Packets, used: int, spread: float) -> tuple[str, ...]:
     if spread > SAME_M:
         notes.append(
             f"{path}: true positions within a fix differ by up to {spread:.3g} m; the mean counts"
+        )
+    if moved > SAME_M:
+        notes.append(
+            f"{path}: receivers move by up to {moved:.3g} m within a fix, and the mean pose "
+            "counts; scenario.combine=each takes each packet where it was measured"
         )
     return tuple(notes)

@@ -55,8 +55,11 @@ def known_anchors(
     """Return the rows of the anchors `ids`, the number (N,) of each row's anchor, and remarks on
     the rows left out.
 
-    Raises BadValue for a row of another anchor if `strict`, and if no row is left.
+    A log without a column of anchors is that of the first one. Raises BadValue for a row of another
+    anchor if `strict`, and if no row is left.
     """
+    if "anchor" not in table.names:
+        return table, np.zeros(len(table.frame), dtype=int), []
     anchor = table.indices("anchor", ids, strict=strict)
     unknown = int((anchor < 0).sum())
     if not unknown:

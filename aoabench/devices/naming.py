@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from aoabench.devices.columns import shown_columns
 from aoabench.devices.log import Conventions
 from aoabench.devices.moments import SECONDS
+from aoabench.devices.poses import DEFAULTS
 from aoabench.devices.reading import FILE, Content
 from aoabench.devices.wide import Wide
 from aoabench.errors import BadValue, did_you_mean, listed
@@ -19,6 +20,7 @@ def default_names(given: Conventions, time_unit: str) -> dict[str, list[str]]:
     a, e, t = given.azimuth_unit, given.elevation_unit, time_unit
     found = {name: [f"{name}_m"] for name in ("x", "y", "z", "range", "range_sigma")}
     found |= {name: [name] for name in ("fix", "tag", "sequence")}
+    found |= {name: [default] for name, default in DEFAULTS.items()}
     found |= {"azimuth": [f"azimuth_{a}"], "azimuth_sigma": [f"azimuth_sigma_{a}"]}
     found |= {"elevation": [f"elevation_{e}"], "elevation_sigma": [f"elevation_sigma_{e}"]}
     for name in ("time", "anchor_time"):

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aoabench.devices import log
+from aoabench.devices.anchors import AnchorsFile
 from aoabench.devices.moments import slow_times, times
+from aoabench.devices.poses import read_poses
 from aoabench.devices.table import Table
 from aoabench.errors import BadValue, did_you_mean, listed
 from aoabench.maths.geometry import Array
@@ -20,7 +22,8 @@ class Packets:
     """N packets in the order of the log's rows, in aoabench's conventions.
 
     anchor (N,): the anchor's number in the file of anchors, from 0. values: arrays (N,) under the
-    names of Measurements, in rad, s and dBm; NaN = not measured. tag (N,): numbers in `tags`, the
+    names of Measurements, in rad, s and dBm, NaN = not measured, and in a log of receivers that
+    move under the names `poses.POSE`. tag (N,): numbers in `tags`, the
     tags' names in natural order (T2 before T10); one tag, "", in a log without tags. fix (N,):
     numbers in `fixes`, the names of fixes that the log states, or None. time (N,) s, or None in a
     log without times. sequence (N,): the device's sequence numbers, or None. truth (N, 3) m, NaN =
@@ -79,40 +82,36 @@ class Packets:
 
 @dataclass(frozen=True)
 class Given:
-    """How rows become packets: parameters of the same names of a recorded scenario, and how far
-    each anchor's clock is ahead (B,) s, or None.
-    """
+    """How rows become packets: parameters of the same names of a recorded scenario."""
 
     conventions: log.Conventions
     time_unit: str
     rssi_absent: Sequence[float]
     range_sigma_m: float | None
     unknown_anchors: str
-    clock_offset: Array | None = None
 
 
-def read_packets(
-    table: Table, anchor_ids: Sequence[str], given: Given
-) -> tuple[Packets, list[str]]:
-    """Return the packets of a log's rows, and remarks to print.
+def read_packets(table: Table, known: AnchorsFile, given: Given) -> tuple[Packets, list[str]]:
+    """Return the packets of a log's rows by the `known` anchors, and remarks to print.
 
     Raises BadValue for a row that breaks the declared conventions.
     """
     strict = given.unknown_anchors == "error"
-    table, anchor, notes = log.known_anchors(table, anchor_ids, strict)
+    table, anchor, notes = log.known_anchors(table, known.ids, strict)
+    table, anchor, poses, lost = _placed(table, anchor, known)
     numbered = "fix" in table.names
-    time = _times(table, given, anchor)
+    time = _times(table, given, anchor, known.clock_offset_s)
     values = log.angles(table, given.conventions)
     rssi, about_rssi = log.strengths(table, given.rssi_absent)
     delays, about_ranges = log.ranges(table, given.range_sigma_m)
-    values |= ({} if rssi is None else {"rssi": rssi}) | delays
+    values |= ({} if rssi is None else {"rssi": rssi}) | delays | poses
     tag, tags = (
         names_of(table, "tag") if "tag" in table.names else (np.zeros(len(anchor), int), [""])
     )
     fix, fixes = table.texts("fix") if numbered else (None, [])
-    notes += [*about_rssi, *about_ranges, *log.doubts(table, given.conventions.azimuth_unit)]
+    notes += [*lost, *about_rssi, *about_ranges, *log.doubts(table, given.conventions.azimuth_unit)]
     notes += slow_times(table, time, given.time_unit)
-    own = "time" not in table.names and given.clock_offset is None
+    own = "time" not in table.names and known.clock_offset_s is None
     packets = Packets(
         anchor=anchor,
         values=values,
@@ -129,13 +128,29 @@ def read_packets(
     return packets, notes
 
 
-def _times(table: Table, given: Given, anchor: np.ndarray) -> Array | None:
-    """Times (N,) s less the offsets of the anchors' clocks, or None without a column of times.
+def _placed(
+    table: Table, anchor: np.ndarray, known: AnchorsFile
+) -> tuple[Table, np.ndarray, dict[str, Array], list[str]]:
+    """The rows whose anchor's pose is known, the number (N,) and the pose of each row's anchor, and
+    a remark on the rows left out.
+    """
+    poses, usable = read_poses(table, anchor, known)
+    if usable.all():
+        return table, anchor, poses, []
+    if not usable.any():
+        raise table.bad("at least one row with the pose of its receiver")
+    notes = [f"{table.path}: {(~usable).sum()} rows without the pose of their receiver left out"]
+    kept = {name: value[usable] for name, value in poses.items()}
+    return table.where(usable), anchor[usable], kept, notes
+
+
+def _times(table: Table, given: Given, anchor: np.ndarray, offset: Array | None) -> Array | None:
+    """Times (N,) s less the offsets (B,) s of the anchors' clocks, or None without a column of
+    times.
 
     Where offsets are known, the anchors' own clocks are preferred to the host's.
     """
     partly = any(name in table.names for name in ("fix", "sequence"))
-    offset = given.clock_offset
     columns = ("time", "anchor_time") if offset is None else ("anchor_time", "time")
     column = next((name for name in columns if name in table.names), None)
     if column is None:

@@ -185,10 +185,9 @@ class Draws:
         truth, time = tracks.truth[some][None], tracks.time[some][None]
         number = (recording.random_number(tracks, track),)
         (rng,), (other,) = self._rngs(number, ANCHORS), self._rngs(number, ESTIMATOR, PRIOR)
-        known = recording.anchors_of(self.noise.known_anchors(rng, self.scenario), tracks, track)
-        anchor = tracks.columns[columns]
-        several = not np.array_equal(anchor, np.arange(known.count))
-        known = known.those(anchor) if several else known
+        anchors, anchor = self.noise.known_anchors(rng, self.scenario), tracks.columns[columns]
+        several = not np.array_equal(anchor, np.arange(anchors.count))
+        known = recording.anchors_of(anchors, tracks, track, columns)
         for array in (truth, *known.arrays.values()):
             array.setflags(write=False)
         drawn = Drawn(

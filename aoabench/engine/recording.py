@@ -90,10 +90,12 @@ def measured_by(tracks: Tracks, track: int, columns: np.ndarray) -> Measurements
     return replace(tracks.measured, **arrays)
 
 
-def anchors_of(known: Anchors, tracks: Tracks, track: int) -> Anchors:
-    """The anchors (1, T|1, B, ...) of one track from those at all fixes of the recording, or from
-    those that stand still.
+def anchors_of(known: Anchors, tracks: Tracks, track: int, columns: np.ndarray) -> Anchors:
+    """The anchors (1, T|1, C, ...) behind some of the columns of one track: by the recorded poses,
+    or else of the `known` B anchors, at all fixes of the recording if they move.
     """
-    if not known.moving:
-        return known
-    return known.at(np.arange(*fixes_of(tracks, track).indices(len(tracks.time))))
+    fixes = np.arange(*fixes_of(tracks, track).indices(len(tracks.time)))
+    if tracks.poses is not None:
+        return tracks.poses.at(fixes).those(columns)
+    anchor, those = tracks.columns[columns], known.at(fixes)
+    return those if np.array_equal(anchor, np.arange(known.count)) else those.those(anchor)

@@ -10,7 +10,8 @@ height, those nearest to two lines, and those on a ray at its range. One of them
 anchors alone, as long as two anchors are good.
 
 A robust loss needs two measurements more than unknowns: with one, it cannot tell which is wrong.
-Several packets of an anchor count once, as they share what is wrong with it. A fix with fewer, such
+Several packets of an anchor count once, as they share what is wrong with it, unless the anchor has
+moved by more than SAME_M between them. A fix with fewer, such
 as one of three azimuths alone, is the point nearest to the lines, or with ranges the minimum of the
 loss `normal`; with elevations, three anchors and even two at a known height have the redundancy.
 The loss `normal` has no such rule.
@@ -29,6 +30,7 @@ import numpy as np
 from aoabench.errors import Unfit
 from aoabench.estimators.losses import Loss
 from aoabench.estimators.parameters import clip_param, tolerance_param, updates_param
+from aoabench.estimators.places import places
 from aoabench.estimators.plane import clipped
 from aoabench.estimators.rays import POLE, is_deviation, off_the_poles
 from aoabench.estimators.robust_reference import Found, fixes
@@ -148,7 +150,7 @@ class RobustLikelihood(Compiled, Estimator):
         height = self._height(scenario)
         measured, batch = self._weighted(batch, np.isfinite(height))
         compiled = self.compiled(batch.anchors)
-        given = batch.anchors, measured, height, batch.numbers.astype(float)
+        given = batch.anchors, measured, height, places(batch).astype(float)
         found = self._in_numpy(*given) if compiled is None else self._by_kernel(compiled, *given)
         p = found.position
         p[..., :2] = clipped(p[..., :2], scenario, self.clip)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +25,8 @@ LEVEL_95 = 2.4477468306808164  # standard deviations in the plane that hold 95 %
 @dataclass(frozen=True)
 class Surroundings:
     """What lies around the fixes: anchors (B, 3) m with their names and rotations (B, 3, 3), global
-    to anchor's frame; walls (W, 2, 2) m or None; rejected (K, 2) m: positions of rejected fixes.
+    to anchor's frame; walls (W, 2, 2) m or None; rejected (K, 2) m: positions of rejected fixes;
+    paths (K, 2) m, NaN where one ends: of anchors that move, by their places in `anchors`.
     """
 
     anchors: np.ndarray
@@ -33,6 +34,7 @@ class Surroundings:
     rotation: np.ndarray
     walls: np.ndarray | None = None
     rejected: np.ndarray | None = None
+    paths: Mapping[int, np.ndarray] = field(default_factory=dict)
 
 
 def figure(frame: pd.DataFrame, around: Surroundings, title: str) -> Figure:
@@ -51,6 +53,7 @@ def figure(frame: pd.DataFrame, around: Surroundings, title: str) -> Figure:
     _ellipses(axis, frame)
     _crosses(axis, frame, around.rejected)
     _anchors(axis, around, float(max(wide, high)))
+    _paths(axis, around)
     axis.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=title)
     axis.set(xlim=extent[:, 0], ylim=extent[:, 1])
     axis.grid(False)
@@ -65,6 +68,7 @@ def _extent(frame: pd.DataFrame, around: Surroundings) -> np.ndarray:
     """Lower and upper corner (2, 2) m of anchors, walls, truth and nearly all fixes."""
     fixes = _finite(frame, "x_m", "y_m")
     parts = [around.anchors[:, :2][np.isfinite(around.anchors[:, :2]).all(axis=1)]]
+    parts += [path[np.isfinite(path[:, 0])] for path in around.paths.values()]
     parts += [] if around.walls is None else [around.walls.reshape(-1, 2)]
     parts += [np.quantile(fixes, [0.01, 0.99], axis=0)] if len(fixes) else []
     parts += [_finite(frame, "true_x_m", "true_y_m")] if "true_x_m" in frame else []
@@ -150,21 +154,40 @@ def _crosses(axis: Any, frame: pd.DataFrame, rejected: np.ndarray | None) -> Non
 
 
 def _anchors(axis: Any, around: Surroundings, extent: float) -> None:
-    """Draw the anchors, an arrow along the local x of each that faces sideways, and the names."""
-    x, y = around.anchors[:, 0], around.anchors[:, 1]
+    """Draw the anchors that stand still, an arrow along the local x of each that faces sideways,
+    and the names.
+    """
+    still = [b for b in range(len(around.anchors)) if b not in around.paths]
+    x, y = around.anchors[still, 0], around.anchors[still, 1]
+    if not still:
+        return
     look = {"s": 34, "facecolor": "white", "edgecolor": "#D55E00", "linewidth": 1.2}
     axis.scatter(x, y, marker="^", label="anchor", zorder=6, **look)
-    ahead = around.rotation[:, 0, :2]
+    ahead = around.rotation[still, 0, :2]
     sideways = np.hypot(*ahead.T) > 0.5
     if sideways.any():
         arrows = {"angles": "xy", "scale_units": "xy", "scale": 1 / (0.05 * extent)}
         place = x[sideways], y[sideways], *ahead[sideways].T
         axis.quiver(*place, color="#D55E00", width=0.003, zorder=6, **arrows)
     if len(x) <= MOST_NAMED:
-        for name, place in zip(around.names, zip(x, y)):
-            offset = {"xytext": (4, 4), "textcoords": "offset points", "fontsize": 7}
-            text = str(name).replace("$", r"\$")
-            axis.annotate(text, place, zorder=7, annotation_clip=True, **offset)
+        for b, place in zip(still, zip(x, y)):
+            _named(axis, around.names[b], place)
+
+
+def _named(axis: Any, name: str, place: Sequence[float]) -> None:
+    offset = {"xytext": (4, 4), "textcoords": "offset points", "fontsize": 7}
+    text = str(name).replace("$", r"\$")
+    axis.annotate(text, place, zorder=7, annotation_clip=True, **offset)
+
+
+def _paths(axis: Any, around: Surroundings) -> None:
+    """Draw where the receivers that move have measured, and their names where they begin."""
+    for number, (b, path) in enumerate(around.paths.items()):
+        thin = path[:: -(-len(path) // MOST_DRAWN)]
+        look = {"color": "#D55E00", "linewidth": 0.8, "marker": ".", "markersize": 3, "zorder": 2.2}
+        axis.plot(*thin.T, label=None if number else "receiver's path", **look)
+        if len(around.paths) <= MOST_NAMED:
+            _named(axis, around.names[b], path[0])
 
 
 def _outside(frame: pd.DataFrame, extent: np.ndarray) -> int:

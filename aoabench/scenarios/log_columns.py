@@ -48,3 +48,14 @@ class Columns(CheckedParams):
     x: str | None = _column("x of the true positions in m", "x_m")
     y: str | None = _column("y of the true positions in m", "y_m")
     z: str | None = _column("z of the true positions in m", "z_m")
+    anchor_x: str | None = _column("x of receivers that move in m", "anchor_x_m")
+    anchor_y: str | None = _column("y of receivers that move in m", "anchor_y_m")
+    anchor_z: str | None = _column("z, or height, of receivers that move in m", "anchor_z_m")
+    anchor_lat: str | None = _column("their latitudes in deg, in place of x", "anchor_lat_deg")
+    anchor_lon: str | None = _column("their longitudes in deg, in place of y", "anchor_lon_deg")
+    anchor_facing: str | None = _column(
+        "the directions that anchors face, in deg counter-clockwise from +x", "anchor_facing_deg"
+    )
+    anchor_bearing: str | None = _column(
+        "these directions in deg clockwise from north (+y)", "anchor_bearing_deg"
+    )

@@ -31,10 +31,11 @@ class LogParameters(Scenario, ABC):
         help="log: a file, a list of files or a pattern such as logs/*.csv, read as one",
         allowed=f"an {EXISTING}, a list of such files, or a pattern",
     )
-    anchors: AnchorLayout | str = param(
-        help="file of the anchors, or a layout",
+    anchors: AnchorLayout | str | None = param(
+        None,
+        "file of the anchors, or a layout; null: the log has the positions of its receivers",
         kind=AnchorLayout,
-        allowed=f"an {EXISTING}, or an AnchorLayout",
+        allowed=f"an {EXISTING}, an AnchorLayout, or null",
     )
     format: str = param(
         "auto",
@@ -206,6 +207,11 @@ class LogParameters(Scenario, ABC):
         named = [name for name in asdict(self.columns).values() if name and ANCHOR in name]
         header = None if self.header is None else tuple(map(str, self.header))
         return Reading(self.format, header, self.separator, self.decimal, tuple(named))
+
+    @property
+    def turns(self) -> bool:
+        """Whether the angles are in axes that turn with the anchors."""
+        return self.frame == "own" and self.measured_by == "anchor"
 
     def declared(self, stated: Mapping[str, Any]) -> dict[str, Any]:
         """The parameters by name; those with their default value as the log's format has them."""

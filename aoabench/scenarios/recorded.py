@@ -7,31 +7,31 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from aoabench import loaded
-from aoabench.devices import identity, log
-from aoabench.devices.anchors import AnchorsFile, read_anchors
-from aoabench.devices.combining import combined
+from aoabench.devices import identity
+from aoabench.devices.anchors import AnchorsFile
+from aoabench.devices.combining import Combined, combined
 from aoabench.devices.extent import Thing, check_anchors
 from aoabench.devices.formats import opened
-from aoabench.devices.geodesy import Origin
 from aoabench.devices.grouping import grouped, tracks
-from aoabench.devices.naming import chosen_columns, default_names, unread
+from aoabench.devices.naming import unread
 from aoabench.devices.packets import Given, Packets, read_packets
+from aoabench.devices.poses import placed
 from aoabench.devices.reading import Content
 from aoabench.devices.table import Table
 from aoabench.devices.truth import read_truth
-from aoabench.errors import BadValue, check_array, listed
+from aoabench.errors import BadValue, check_array
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
 from aoabench.models.motion import motion_of
 from aoabench.roles import Motion
-from aoabench.scenarios.layout import AnchorLayout
+from aoabench.scenarios.log_anchors import anchors_of, columns_of, conventions_of
 from aoabench.scenarios.log_columns import Columns
 from aoabench.scenarios.log_parameters import LogParameters
 from aoabench.types import Anchors, Measurements, Tracks
@@ -90,8 +90,10 @@ class Recorded(LogParameters):
         if len(known):
             source = ("path", self.path) if self.truth_file is None else ("truth", self.truth_file)
             target = Thing("true positions", *source, known)
-            position = self._anchors.anchors.position[0, 0]
-            check_anchors(Thing("anchors", "anchors", self.anchors, position), target)
+            words, key = "anchors", "anchors"
+            if found.poses is not None:
+                words, key = "receivers", "path"
+            check_anchors(Thing(words, key, getattr(self, key), self.true_anchors.position), target)
 
     @property
     def files(self) -> tuple[DataFile, ...]:
@@ -131,11 +133,18 @@ class Recorded(LogParameters):
 
     @cached_property
     def true_anchors(self) -> Anchors:
-        """The anchors (1, 1, B, ...); with the global axes if the angles are global."""
+        """The anchors (1, 1, B, ...); with the global axes if the angles are global. If they move,
+        (1, F, B, ...), each where its first packet of a fix was measured.
+        """
+        if (poses := self.tracks.poses) is not None:
+            return poses.those(np.unique(self.tracks.columns, return_index=True)[1])
         anchors = self._anchors.anchors
-        own = self.frame == "own" and self.measured_by == "anchor"
         upright = np.zeros_like(anchors.rotation) + np.eye(3)
-        return anchors if own else Anchors(anchors.position, upright)
+        return anchors if self.turns else Anchors(anchors.position, upright)
+
+    def poses_of(self, found: Combined, tag: np.ndarray) -> Anchors | None:
+        """The poses (1, F, C, ...) of receivers that move, in fixes of the tags `tag` (F,)."""
+        return placed(found.poses, found.columns, tag, self._anchors, not self.turns)
 
     @property
     def anchors_file(self) -> AnchorsFile:
@@ -150,6 +159,8 @@ class Recorded(LogParameters):
         """
         found = copy(self)
         vars(found).update(_read=Read(tracks, ()), start_s=start_s, motion=motion)
+        if tracks.poses is not None:
+            vars(found).pop("true_anchors", None)
         return found
 
     def offers(self) -> frozenset[str]:
@@ -160,10 +171,12 @@ class Recorded(LogParameters):
         first = np.unique(found.columns, return_index=True)[1]
         heard = np.logical_or.reduceat(np.isfinite(found.measured.azimuth), first, axis=1)
         lone = heard.sum(axis=1).max(initial=0) < 2
+        several = {"several_anchors"} if lone and _from_places(found) else set()
+        lone &= not several
         unknown = np.isnan(found.time)
         timeless = unknown.any() and (self.step_s is None or not unknown.all())
         less = ({"several_anchors"} if lone else set()) | ({"motion"} if timeless else set())
-        return super().offers() - less
+        return super().offers() - less | several
 
     def unheard(self) -> BadValue:
         """The error for a log without any measurement."""
@@ -177,17 +190,7 @@ class Recorded(LogParameters):
     @cached_property
     def _anchors(self) -> AnchorsFile:
         """The anchors (1, 1, B, ...) and their ids as strings."""
-        if isinstance(self.anchors, AnchorLayout):
-            B = len(self.anchors.position_m)
-            ids = list(map(str, range(1, B + 1) if self.anchor_ids is None else self.anchor_ids))
-            if len(ids) != B or len(set(ids)) < B:
-                allowed = f"{B} different ids, one for each anchor, or null"
-                raise BadValue("anchor_ids", self.anchor_ids, allowed)
-            return AnchorsFile(ids, self.anchors.known, None, ())
-        if self.anchor_ids is not None:
-            allowed = "null, unless scenario.anchors is a layout: a file may have the column id"
-            raise BadValue("anchor_ids", self.anchor_ids, allowed)
-        return read_anchors("anchors", self.anchors, Origin.given(self.origin_deg))
+        return anchors_of(self)
 
     @cached_property
     def _read(self) -> Read:
@@ -210,6 +213,7 @@ class Recorded(LogParameters):
             measured=found.measured,
             packets=found.packets,
             columns=found.columns,
+            poses=self.poses_of(found, groups.tag),
         )
         about = [self._counted(packets, made), *groups.notes, *found.notes]
         return Read(made, (*about, *notes, *with_log.notes))
@@ -237,18 +241,17 @@ class Recorded(LogParameters):
         log's name in messages.
         """
         anchors = self._anchors
-        declared = self.declared(dict(content.stated))
+        conventions, time_unit = conventions_of(self, content)
         given = Given(
-            conventions=log.Conventions(**{n: declared[n] for n in log.Conventions._fields}),
-            time_unit=declared["time_unit"],
+            conventions=conventions,
+            time_unit=time_unit,
             rssi_absent=self.rssi_absent,
             range_sigma_m=self.range_sigma_m,
             unknown_anchors=self.unknown_anchors,
-            clock_offset=anchors.clock_offset_s,
         )
-        table = Table.of(content, "path", path, self._chosen(content, given))
+        table = Table.of(content, "path", path, columns_of(self, content))
         try:
-            packets, notes = read_packets(table, anchors.ids, given)
+            packets, notes = read_packets(table, anchors, given)
         except BadValue as error:
             why = f"; {self.anchors} has no column id, so that its anchors are called 1, 2, ..."
             more = why * anchors.numbered
@@ -271,24 +274,19 @@ class Recorded(LogParameters):
         found = f"{len(made.fix)} fixes{several}, {known} with ground truth"
         return f"{packets.table.path}: {found}; {packets.count} rows of {heard} anchors"
 
-    def _chosen(self, content: Content, given: Given) -> dict[str, str]:
-        """Map from aoabench's column names to the file's, for the columns to read."""
-        conventions = given.conventions
-        heading = {"heading"} if conventions.needs_heading else set()
-        unused = {"heading"} - heading
-        unused |= {"elevation", "elevation_sigma"} if self.elevation_kind == "none" else set()
-        named = {name: one for name, one in asdict(self.columns).items() if name not in unused}
-        names = default_names(conventions, given.time_unit)
-        present, required = list(content.columns), {"azimuth", "anchor"} | heading
-        chosen = chosen_columns(self.path, present, named, names, required)
-        own = [chosen[axis] for axis in "xyz" if axis in chosen]
-        if self.truth_file is not None and own:
-            allowed = f"null, for a log with true positions of its own; it has {listed(own)}"
-            raise BadValue("truth", self.truth_file, allowed)
-        lone = "tag" not in chosen
-        return chosen | (identity.suspects(present, list(chosen.values())) if lone else {})
-
 
 def _number(n: int, word: str) -> str:
     """'1 tag' or '2 tags'."""
     return f"{n} {word}" + "s" * (n != 1)
+
+
+def _from_places(tracks: Tracks) -> bool:
+    """Whether a fix has azimuths measured in two places."""
+    if tracks.poses is None:
+        return False
+    heard = np.isfinite(tracks.measured.azimuth)[..., None]
+    place = tracks.poses.position[0, :, :, :2]
+    low, high = (
+        f(np.where(heard, place, fill), axis=1) for f, fill in ((np.min, np.inf), (np.max, -np.inf))
+    )
+    return bool((high > low).any())

@@ -236,7 +236,7 @@ def test_mistakes_are_one_line(room, log):
         with pytest.raises(UserError, match=match):
             located_in(path, room, *words.pop("settings", ()), **words)
     with pytest.raises(UserError, match="--anchors is missing"):
-        Request(str(path))
+        Request(str(path)).asked()
     for out in ("fixes.xls", "log.csv"):
         with pytest.raises(UserError, match="-o="):
             files.check_out(room / out, [str(path)])

@@ -1,0 +1,28 @@
+"""The places in which anchors that move have measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aoabench.types import Batch
+
+SAME_M = 0.5  # m; an anchor that has moved by less stands in one place
+
+
+def places(batch: Batch) -> np.ndarray:
+    """A number (R|1, T|1, B) that columns share if one anchor measured them in one place: that of
+    the anchor, or of the first column of the place where an anchor has several columns.
+    """
+    numbers = batch.numbers
+    position = batch.anchors.position
+    if batch.known is not None or len(np.unique(numbers[0, 0])) == numbers.shape[2]:
+        return numbers
+    each = [position[:, :, numbers[0, 0] == b] for b in np.unique(numbers)]
+    if all((one == one[:, :, :1]).all() for one in each):
+        return numbers
+    found = np.full(np.broadcast_shapes(numbers.shape, position.shape[:3]), -1)
+    for b in range(numbers.shape[2]):
+        near = ((position - position[:, :, b : b + 1]) ** 2).sum(axis=-1) <= SAME_M**2
+        near &= (numbers == numbers[..., b : b + 1]) & (found < 0) & (found[..., b : b + 1] < 0)
+        found[near] = b
+    return found
