@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,8 +25,7 @@ from aoabench.devices.packets import Packets
 from aoabench.maths.geometry import Array
 from aoabench.types import Tracks
 
-if TYPE_CHECKING:
-    import pandas as pd
+Fixes = dict[str, np.ndarray]  # the columns of a table of fixes
 
 
 @dataclass
@@ -56,8 +54,8 @@ class Live:
             return None
         return max(float(self.arrival.min()) + self.rule.patience_s - time.monotonic(), 1e-3)
 
-    def take(self, packets: Packets | None, now: float, ended: bool = False) -> pd.DataFrame | None:
-        """The table of the fixes that close when `packets` have arrived at the time `now`
+    def take(self, packets: Packets | None, now: float, ended: bool = False) -> Fixes | None:
+        """The columns of the fixes that close when `packets` have arrived at the time `now`
         (time.monotonic) s, or when the stream has `ended`; None without any.
         """
         if packets is not None:
@@ -96,8 +94,8 @@ class Live:
             self.newest = max(self.newest, float(np.nanmax(packets.time, initial=-np.inf)))
         return packets
 
-    def _located(self, packets: Packets, groups: Groups) -> pd.DataFrame:
-        """The table of closed fixes."""
+    def _located(self, packets: Packets, groups: Groups) -> Fixes:
+        """The columns of closed fixes."""
         scenario = self.asked.scenario
         found = combined(packets, groups, scenario.true_anchors.count, scenario.combine)
         tags = [packets.tags[i] for i in groups.tag]
@@ -116,4 +114,4 @@ class Live:
             columns=found.columns,
         )
         solved = self.method.solve(tracks, track[first])
-        return fixes.table(tracks, solved, self.max_sigma_m, numbers=track[first])
+        return fixes.columns(tracks, solved, self.max_sigma_m, numbers=track[first])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aoabench.deployment.mixing import joined
+from aoabench.deployment.mixing import joined, without_rows
 from aoabench.deployment.request import Asked, Request
 from aoabench.devices.live import Live
 from aoabench.devices.packets import Packets
@@ -95,7 +95,8 @@ class Reader:
         """The packets of the wanted tags in some rows, [] without any."""
         if isinstance(content, Rows) and not len(content.frame):
             return []
-        packets, _ = self.asked.scenario.packets_of(content, "-")
+        found, _ = self.asked.scenario.packets_of(content, "-", quick=True)
+        packets = without_rows(found)
         if self.tags is not None:
             wanted = np.array([tag in self.tags for tag in packets.tags])
             packets = packets.where(wanted[packets.tag])

@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 PIECE = 2**18  # bytes that are read at once
-GATHER_S = 0.005  # what arrives within this time is read together
+GATHER_S = 0.005, 0.015  # what arrives within this time is read together: at least, at most
+SHARE = 3  # times as long as the piece before took
 
 
 @dataclass(frozen=True)
@@ -23,17 +24,22 @@ class Piece:
 def pieces(file: int, wait_s: Callable[[], float | None]) -> Iterator[Piece]:
     """Yield what arrives at a file descriptor, until it ends.
 
-    An empty piece is yielded when nothing has arrived for `wait_s()` s; None: wait for ever.
+    The busier the stream, the longer the pieces, because each has a cost of its own. An empty piece
+    is yielded when nothing has arrived for `wait_s()` s; None: wait for ever.
     """
+    least, most = GATHER_S
+    took = 0.0
     while True:
         if not _ready(file, wait_s()):
             yield Piece(b"", time.monotonic())
             continue
-        time.sleep(GATHER_S)
+        time.sleep(min(max(SHARE * took, least), most))
         found = os.read(file, PIECE)
         if not found:
             return
+        begin = time.process_time()
         yield Piece(found, time.monotonic())
+        took = time.process_time() - begin
 
 
 def _ready(file: int, wait_s: float | None) -> bool:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from copy import copy
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -23,6 +24,7 @@ from aoabench.devices.geodesy import Origin
 from aoabench.devices.grouping import grouped, tracks
 from aoabench.devices.naming import chosen_columns, default_names, unread
 from aoabench.devices.packets import Given, Packets, read_packets
+from aoabench.devices.plain import plain_rows
 from aoabench.devices.reading import Content
 from aoabench.devices.table import Table
 from aoabench.devices.truth import read_truth
@@ -232,9 +234,11 @@ class Recorded(LogParameters):
             anchors.check_local("the log's true positions are local")
         return packets, notes
 
-    def packets_of(self, content: Content, path: Any) -> tuple[Packets, list[str]]:
+    def packets_of(
+        self, content: Content, path: Any, quick: bool = False
+    ) -> tuple[Packets, list[str]]:
         """The packets of all tags in the content of a log, and remarks to print; `path` is the
-        log's name in messages.
+        log's name in messages. quick: for a small piece of a log, plain rows are parsed as such.
         """
         anchors = self._anchors
         declared = self.declared(dict(content.stated))
@@ -246,7 +250,11 @@ class Recorded(LogParameters):
             unknown_anchors=self.unknown_anchors,
             clock_offset=anchors.clock_offset_s,
         )
-        table = Table.of(content, "path", path, self._chosen(content, given))
+        names = self._chosen(content, given)
+        if quick and (rows := plain_rows(content, "path", path, names)) is not None:
+            with suppress(BadValue):  # told with its line below
+                return read_packets(rows, anchors.ids, given)
+        table = Table.of(content, "path", path, names)
         try:
             packets, notes = read_packets(table, anchors.ids, given)
         except BadValue as error:

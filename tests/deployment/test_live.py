@@ -45,7 +45,7 @@ def streamed(run, text, cuts, step_s=0.002):
         now += step_s
         found += run.table(b"".join(lines[i] for i in some), now)
     found += run.table(b"", now, ended=True)
-    return pd.concat(found, ignore_index=True)
+    return pd.concat(map(pd.DataFrame, found), ignore_index=True)
 
 
 def same(stream, file):
@@ -261,7 +261,7 @@ def test_rows_may_be_cut_anywhere(room, log, rng, end):
     cuts = [0, *np.sort(rng.choice(np.arange(1, len(text)), 50, replace=False)), len(text)]
     found = [f for a, b in pairwise(cuts) for f in run.table(text[a:b], 1e-5 * a)]
     found += run.table(b"", 10.0, ended=True)
-    assert same(pd.concat(found), file.frame)
+    assert same(pd.concat(map(pd.DataFrame, found)), file.frame)
 
 
 def test_a_line_without_end_is_refused(room):
