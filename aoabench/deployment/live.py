@@ -8,6 +8,7 @@ stream.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,12 +20,17 @@ from aoabench.deployment.numbering import Numbering
 from aoabench.deployment.recursion import Method
 from aoabench.deployment.request import Asked
 from aoabench.deployment.windows import Late, Rule, some_of
-from aoabench.devices.combining import combined
+from aoabench.devices.combining import DISTINCT, combined
 from aoabench.devices.grouping import Groups, grouped
 from aoabench.devices.packets import Packets
 from aoabench.maths.geometry import Array
 from aoabench.types import Tracks
 
+_SAID = (
+    "-: packets of an anchor in a fix differ; all of them are used. scenario.combine=median, mean, "
+    "first or last makes one of them; scenario.columns.tag keeps tags apart, and a shorter "
+    "scenario.window_s makes more fixes"
+)
 Fixes = dict[str, np.ndarray]  # the columns of a table of fixes
 
 
@@ -32,15 +38,20 @@ Fixes = dict[str, np.ndarray]  # the columns of a table of fixes
 class Live:
     """The state of a stream: packets of open fixes with the times (N,) s of their arrival, and the
     latest time in s of any packet.
+
+    distinct: whether packets of an anchor in a fix that differ are all used, which is said once.
     """
 
     asked: Asked
+    say: Callable[[str], None]
+    distinct: bool = False
     max_sigma_m: float | None = None
     rule: Rule | None = None
     open: Packets | None = None
     arrival: Array = field(default_factory=lambda: np.empty(0))
     newest: float = -np.inf
     late: Late | None = None
+    said: bool = False
 
     def __post_init__(self) -> None:
         scenario = self.asked.scenario
@@ -97,7 +108,11 @@ class Live:
     def _located(self, packets: Packets, groups: Groups) -> Fixes:
         """The columns of closed fixes."""
         scenario = self.asked.scenario
-        found = combined(packets, groups, scenario.true_anchors.count, scenario.combine)
+        combine = DISTINCT if self.distinct else scenario.combine
+        found = combined(packets, groups, scenario.true_anchors.count, combine)
+        if self.distinct and len(found.columns) > scenario.true_anchors.count and not self.said:
+            self.said = True
+            self.say(_SAID)
         tags = [packets.tags[i] for i in groups.tag]
         track, number = self.numbering.of(tags, found.time)
         numbered = packets.fix is not None or packets.sequence is not None

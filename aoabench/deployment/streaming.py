@@ -59,7 +59,8 @@ class Run:
         """
         packets = self.reader.packets(text, now, ended)
         if self.live is None and packets is not None:
-            self.live = Live(self.reader.asked, self.max_sigma_m)
+            reader = self.reader
+            self.live = Live(reader.asked, self.say, reader.distinct, self.max_sigma_m)
         if self.live is None:
             return
         found = self.live.take(packets, now, ended)

@@ -130,6 +130,24 @@ def test_a_fix_closes_after_its_window_or_in_silence(room):
     assert closed["fix"].tolist() == ["1"]
 
 
+@pytest.mark.parametrize("settings", [(), ("scenario.combine=error",)])
+@pytest.mark.parametrize("cut", [6, 9])
+def test_packets_that_differ_are_all_used_and_equal_ones_once(room, settings, cut):
+    rows = rows_of(POINTS, "T1")
+    other = rows[8].rsplit(",", 1)[0] + ",-20"
+    lines = [LONG, *rows[:4], rows[0], *rows[4:9], other, rows[8], *rows[9:]]
+    tables = []
+    for more in ((), ("scenario.combine=each",)):
+        run, said = run_of(room, "scenario.window_s=0.1", *(more or settings))
+        tables.append(streamed(run, "\n".join([*lines, ""]), [cut, cut + 3], step_s=0.2))
+        assert sum("differ; all of them are used" in line for line in said) == (not more)
+    each = streamed(run_of(room, "scenario.window_s=0.1", "scenario.combine=each")[0],
+                    "\n".join([LONG, *rows[:9], other, *rows[9:], ""]), [cut])  # fmt: skip
+    assert tables[0]["packets"].tolist() == [5, 4, 6, 4]
+    same(tables[0].drop(columns="packets"), each.drop(columns="packets"))
+    assert not np.allclose(tables[0]["sigma_major_m"], tables[1]["sigma_major_m"], atol=1e-9)
+
+
 def test_packets_after_the_end_are_counted_and_a_clock_may_start_again(room):
     run, _ = run_of(room, "scenario.window_s=0.1")
     rows = rows_of(POINTS, "T1", times=[50.0, 51.0, 52.0, 53.0])
