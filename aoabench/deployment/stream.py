@@ -21,8 +21,11 @@ class Piece:
     at: float
 
 
-def pieces(file: int, wait_s: Callable[[], float | None]) -> Iterator[Piece]:
-    """Yield what arrives at a file descriptor, until it ends.
+def pieces(
+    file: int, wait_s: Callable[[], float | None], wake: int | None = None
+) -> Iterator[Piece]:
+    """Yield what arrives at a file descriptor, until it ends, or until `wake`, another one, can be
+    read.
 
     The busier the stream, the longer the pieces, because each has a cost of its own. An empty piece
     is yielded when nothing has arrived for `wait_s()` s; None: wait for ever.
@@ -30,7 +33,10 @@ def pieces(file: int, wait_s: Callable[[], float | None]) -> Iterator[Piece]:
     least, most = GATHER_S
     took = 0.0
     while True:
-        if not _ready(file, wait_s()):
+        ready = _ready([file] if wake is None else [file, wake], wait_s())
+        if wake in ready:
+            return
+        if not ready:
             yield Piece(b"", time.monotonic())
             continue
         time.sleep(min(max(SHARE * took, least), most))
@@ -42,9 +48,9 @@ def pieces(file: int, wait_s: Callable[[], float | None]) -> Iterator[Piece]:
         took = time.process_time() - begin
 
 
-def _ready(file: int, wait_s: float | None) -> bool:
-    """Whether there is something to read within `wait_s` s, or the stream has ended."""
+def _ready(files: list[int], wait_s: float | None) -> list[int]:
+    """Those of the files that have something to read within `wait_s` s, or that have ended."""
     try:
-        return bool(select.select([file], [], [], wait_s)[0])
+        return select.select(files, [], [], wait_s)[0]
     except (ValueError, OSError):  # a system that waits for sockets alone
-        return True
+        return files[:1]

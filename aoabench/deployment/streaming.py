@@ -36,9 +36,11 @@ class Run:
     def __post_init__(self) -> None:
         self.reader = Reader(self.request, self.say)
 
-    def tables(self, file: int) -> Iterator[Fixes]:
-        """The tables of fixes of a stream, given by its file descriptor, until it ends."""
-        for piece in pieces(file, self._wait_s):
+    def tables(self, file: int, wake: int | None = None) -> Iterator[Fixes]:
+        """The tables of fixes of a stream, given by its file descriptor, until it ends, or until
+        `wake`, another one, can be read.
+        """
+        for piece in pieces(file, self._wait_s, wake):
             yield from self.table(piece.text, piece.at, ended=False)
         yield from self.rest()
 
