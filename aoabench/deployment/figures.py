@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from aoabench.deployment.located import Located
 from aoabench.maths.geometry import Array
 from aoabench.report import campaign, located, plots
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[str, Path]]:
@@ -20,7 +25,7 @@ def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[s
     position, rotation = anchors.position[0, 0], anchors.rotation[0, 0]
     names = asked.scenario.anchors_file.ids
     around = located.Surroundings(position, names, rotation, walls, found.rejected)
-    title = f"{asked.name}: {len(frame)} fixes"
+    title = f"{_log(asked.scenario.path)}: {_counted(frame)}, {asked.name}"
     drawn = [("map", out.with_suffix(".png"))]
     plots.save(lambda: located.figure(frame, around, title), drawn[0][1])
     if found.with_truth:
@@ -29,3 +34,17 @@ def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[s
         drawn.append(("errors", out.with_name(f"{out.stem}-errors.png")))
         plots.save(lambda: campaign.cdf(errors), drawn[1][1])
     return drawn
+
+
+def _log(path: object) -> str:
+    """The name of a log, or how many files it has."""
+    if isinstance(path, str):
+        return Path(path).name.replace("$", r"\$")
+    return f"{len(path)} files" if isinstance(path, Sequence) else str(path)
+
+
+def _counted(frame: pd.DataFrame) -> str:
+    """The numbers of fixes and tags."""
+    fixes, tags = len(frame), frame["tag"].nunique()
+    of = f" of {tags} tags" if tags > 1 else ""
+    return f"{fixes} fix{'es' * (fixes != 1)}{of}"
