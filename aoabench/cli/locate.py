@@ -12,6 +12,7 @@ import click
 
 from aoabench.cli.common import Command, echo, say
 from aoabench.cli.complete import override_items
+from aoabench.cli.stopping import held
 from aoabench.errors import UserError, check_number
 
 if TYPE_CHECKING:
@@ -126,18 +127,16 @@ def _from_stream(
             raise UserError(f"{flag}={given} is not allowed with LOG=-; allowed: a log in a file")
     check_stream_out(out, [request.anchors])
     run = Run(request, max_sigma, report)
-    status = 0
-    with opened(out) as write:
+    with opened(out) as write, held() as stop:
         try:
-            for frame in run.tables(sys.stdin.fileno()):
-                write(frame)
-        except KeyboardInterrupt:
-            status = 130
-            for frame in run.rest():
-                write(frame)
+            for columns in run.tables(sys.stdin.fileno(), stop.wake):
+                write(columns)
+        except UserError:
+            if stop.number is None:
+                raise  # else the log was stopped before it could be read
     for line in run.lines():
         echo(line, file=sys.stderr)
-    return status
+    return 0 if stop.number is None else 128 + stop.number
 
 
 def _print(found: Located) -> None:

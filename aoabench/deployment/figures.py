@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +12,9 @@ from aoabench.deployment.located import Located
 from aoabench.maths.geometry import Array
 from aoabench.report import campaign, located, plots
 from aoabench.types import Tracks
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[str, Path]]:
@@ -22,7 +27,7 @@ def write(found: Located, out: Path, walls: Array | None = None) -> list[tuple[s
     names = asked.scenario.anchors_file.ids
     paths = _paths(asked.scenario.tracks, len(names))
     around = located.Surroundings(position, names, rotation, walls, found.rejected, paths)
-    title = f"{asked.name}: {len(frame)} fixes"
+    title = f"{_log(asked.scenario.path)}: {_counted(frame)}, {asked.name}"
     drawn = [("map", out.with_suffix(".png"))]
     plots.save(lambda: located.figure(frame, around, title), drawn[0][1])
     if found.with_truth:
@@ -51,3 +56,17 @@ def _paths(tracks: Tracks, count: int) -> dict[int, Array]:
             ends = np.diff(track) != 0 if timed else np.full(len(own) - 1, True)
             found[b] = np.insert(own, np.flatnonzero(ends) + 1, np.nan, axis=0)
     return found
+
+
+def _log(path: object) -> str:
+    """The name of a log, or how many files it has."""
+    if isinstance(path, str):
+        return Path(path).name.replace("$", r"\$")
+    return f"{len(path)} files" if isinstance(path, Sequence) else str(path)
+
+
+def _counted(frame: pd.DataFrame) -> str:
+    """The numbers of fixes and tags."""
+    fixes, tags = len(frame), frame["tag"].nunique()
+    of = f" of {tags} tags" if tags > 1 else ""
+    return f"{fixes} fix{'es' * (fixes != 1)}{of}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -43,17 +42,17 @@ def check_stream_out(out: Path | None, read: Sequence[str | None]) -> None:
 
 
 @contextmanager
-def opened(out: Path | None) -> Iterator[Callable[[pd.DataFrame], None]]:
-    """Yield a function that appends the rows of tables to the CSV file `out`, None for standard
-    output; the first one also writes the header.
+def opened(out: Path | None) -> Iterator[Callable[[Mapping[str, np.ndarray]], None]]:
+    """Yield a function that appends rows, given by their columns, to the CSV file `out`, None for
+    standard output; the first call also writes the header.
     """
     with ExitStack() as stack:
         file = sys.stdout.buffer if out is None else stack.enter_context(out.open("wb"))
         first = True
 
-        def write(frame: pd.DataFrame) -> None:
+        def write(columns: Mapping[str, np.ndarray]) -> None:
             nonlocal first
-            file.write(csv_text(frame, header=first))
+            file.write(csv_text(columns, header=first))
             file.flush()
             first = False
 
@@ -70,18 +69,18 @@ def write(frame: pd.DataFrame, out: Path, config: Any = None, origin: Origin | N
     if kind == ".parquet":
         write_frame(out, frame, provenance(config))
     elif kind == ".csv":
-        write_atomically(out, lambda path: path.write_bytes(csv_text(frame)))
+        write_atomically(out, lambda path: path.write_bytes(csv_text(_columns(frame))))
     else:
         write_atomically(out, lambda path: _write_lines(path, geojson(frame, origin)))
 
 
-def csv_text(frame: pd.DataFrame, header: bool = True) -> bytes:
-    """The table as CSV in UTF-8; a cell is empty where nothing is known."""
+def csv_text(table: Mapping[str, np.ndarray], header: bool = True) -> bytes:
+    """The columns of a table as CSV in UTF-8; a cell is empty where nothing is known."""
     import pandas as pd
     import pyarrow as pa
     from pyarrow import csv
 
-    columns = rounded(frame)
+    columns = rounded(table)
     sink = pa.BufferOutputStream()
     how = csv.WriteOptions(include_header=False, quoting_style="none")
     try:
@@ -95,9 +94,12 @@ def csv_text(frame: pd.DataFrame, header: bool = True) -> bytes:
     return names.encode() * header + rows
 
 
-def rounded(frame: pd.DataFrame) -> dict[str, np.ndarray]:
+def _columns(frame: pd.DataFrame) -> dict[str, np.ndarray]:
+    return {str(name): frame[name].to_numpy() for name in frame.columns}
+
+
+def rounded(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The columns of a table, with times, lengths, angles and scores at DECIMALS."""
-    columns = {str(name): frame[name].to_numpy() for name in frame.columns}
     numbers = {name for name in columns if name.endswith(_ROUNDED)}
     return {n: np.round(c, DECIMALS) + 0.0 if n in numbers else c for n, c in columns.items()}
 
@@ -115,20 +117,37 @@ def geojson(frame: pd.DataFrame, origin: Origin | None) -> Iterator[str]:
     yield '{"type": "FeatureCollection", '
     yield '"units": "m", ' if origin is None else ""
     yield '"features": ['
-    rows = frame.assign(**rounded(frame)).to_dict("records")
-    for i, (row, point) in enumerate(zip(rows, points.tolist())):
-        coordinates = point[: 2 if flat[i] else 3]
-        geometry = {"type": "Point", "coordinates": coordinates} if given[i] else None
-        feature = {"type": "Feature", "properties": _plain(row), "geometry": geometry}
-        yield f"{',' if i else ''}\n{json.dumps(feature, allow_nan=False)}"
+    columns = rounded(_columns(frame))
+    form = ", ".join(f"{_text(name)}: %s" for name in columns)
+    form = f'{{"type": "Feature", "properties": {{{form}}}, "geometry": %s}}'
+    x, y, z = (_texts(points[:, i]) for i in range(3))
+    at = [f"{a}, {b}" if plane else f"{a}, {b}, {c}" for a, b, c, plane in zip(x, y, z, flat)]
+    where = [
+        f'{{"type": "Point", "coordinates": [{a}]}}' if known else "null"
+        for a, known in zip(at, given)
+    ]
+    comma = "\n"
+    for row in zip(*(_texts(column) for column in columns.values()), where):
+        yield comma + form % row
+        comma = ",\n"
     yield "\n]}\n"
 
 
-def _plain(row: Mapping[Any, Any]) -> dict[str, Any]:
-    """A row in the types of JSON; null where a number is not known."""
-    plain = {str(k): v.item() if isinstance(v, np.generic) else v for k, v in row.items()}
-    unknown = {k: None for k, v in plain.items() if isinstance(v, float) and not math.isfinite(v)}
-    return plain | unknown
+def _texts(column: np.ndarray) -> Iterator[str]:
+    """The values of a column in JSON; null where nothing is known."""
+    if column.dtype.kind == "f":
+        known = np.isfinite(column).tolist()
+        return (repr(v) if k else "null" for v, k in zip(column.tolist(), known))
+    if column.dtype.kind in "iu":
+        return map(str, column.tolist())
+    done: dict[Any, str] = {}
+    return (done.get(v) or done.setdefault(v, _text(v)) for v in column.tolist())
+
+
+def _text(value: Any) -> str:
+    """A text or null in JSON."""
+    missing = value is None or value != value
+    return json.dumps(None if missing else value, allow_nan=False)
 
 
 def _write_lines(path: Path, lines: Iterator[str]) -> None:

@@ -37,15 +37,26 @@ def table(
     marks: np.ndarray | None = None,
     numbers: np.ndarray | None = None,
 ) -> pd.DataFrame:
-    """A row for each fix, with the COLUMNS and, with `marks` (F,), the numbers of the true
-    positions, those of the truth.
+    """`columns` as a table."""
+    import pandas as pd
+
+    return pd.DataFrame(columns(tracks, solved, max_sigma_m, marks, numbers))
+
+
+def columns(
+    tracks: Tracks,
+    solved: Solved,
+    max_sigma_m: float | None = None,
+    marks: np.ndarray | None = None,
+    numbers: np.ndarray | None = None,
+) -> dict[str, np.ndarray]:
+    """A value (F,) of each fix in the COLUMNS and, with `marks` (F,), the numbers of the true
+    positions, in those of the truth.
 
     Rows are in order of time over all tracks; in order of the tracks where a time is unknown. A fix
     whose longer half-axis exceeds `max_sigma_m` is rejected and has no position. numbers (R,): the
     numbers of the tracks, None for 0, 1, ...
     """
-    import pandas as pd
-
     estimates, F = solved.estimates, len(tracks.fix)
     found = {n: a[0] for n, a in metrics.per_step(estimates, tracks.truth[None]).items()}
     major, minor, turn = ellipses(estimates)
@@ -63,15 +74,15 @@ def table(
         found[f"residual_{name}_deg"] = np.degrees(rms)
     if max_sigma_m is not None:
         _reject(found, major > max_sigma_m)
-    columns = list(COLUMNS)
+    names = list(COLUMNS)
     if marks is not None:
         found["mark"] = marks
         found |= {f"true_{axis}_m": tracks.truth[:, i] for i, axis in enumerate("xyz")}
-        columns += OF_TRUTH
-    frame = pd.DataFrame({name: found[name] for name in columns})
+        names += OF_TRUTH
     if np.isnan(tracks.time).any():
-        return frame
-    return frame.sort_values("time_s", kind="stable", ignore_index=True)
+        return {name: found[name] for name in names}
+    order = np.argsort(tracks.time, kind="stable")
+    return {name: found[name][order] for name in names}
 
 
 def heard(tracks: Tracks) -> np.ndarray:

@@ -8,8 +8,8 @@ stream.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,29 +20,38 @@ from aoabench.deployment.numbering import Numbering
 from aoabench.deployment.recursion import Method
 from aoabench.deployment.request import Asked
 from aoabench.deployment.windows import Late, Rule, some_of
-from aoabench.devices.combining import combined
+from aoabench.devices.combining import DISTINCT, combined
 from aoabench.devices.grouping import Groups, grouped
 from aoabench.devices.packets import Packets
 from aoabench.maths.geometry import Array
 from aoabench.types import Tracks
 
-if TYPE_CHECKING:
-    import pandas as pd
+_SAID = (
+    "-: packets of an anchor in a fix differ; all of them are used. scenario.combine=median, mean, "
+    "first or last makes one of them; scenario.columns.tag keeps tags apart, and a shorter "
+    "scenario.window_s makes more fixes"
+)
+Fixes = dict[str, np.ndarray]  # the columns of a table of fixes
 
 
 @dataclass
 class Live:
     """The state of a stream: packets of open fixes with the times (N,) s of their arrival, and the
     latest time in s of any packet.
+
+    distinct: whether packets of an anchor in a fix that differ are all used, which is said once.
     """
 
     asked: Asked
+    say: Callable[[str], None]
+    distinct: bool = False
     max_sigma_m: float | None = None
     rule: Rule | None = None
     open: Packets | None = None
     arrival: Array = field(default_factory=lambda: np.empty(0))
     newest: float = -np.inf
     late: Late | None = None
+    said: bool = False
 
     def __post_init__(self) -> None:
         scenario = self.asked.scenario
@@ -56,8 +65,8 @@ class Live:
             return None
         return max(float(self.arrival.min()) + self.rule.patience_s - time.monotonic(), 1e-3)
 
-    def take(self, packets: Packets | None, now: float, ended: bool = False) -> pd.DataFrame | None:
-        """The table of the fixes that close when `packets` have arrived at the time `now`
+    def take(self, packets: Packets | None, now: float, ended: bool = False) -> Fixes | None:
+        """The columns of the fixes that close when `packets` have arrived at the time `now`
         (time.monotonic) s, or when the stream has `ended`; None without any.
         """
         if packets is not None:
@@ -96,11 +105,15 @@ class Live:
             self.newest = max(self.newest, float(np.nanmax(packets.time, initial=-np.inf)))
         return packets
 
-    def _located(self, packets: Packets, groups: Groups) -> pd.DataFrame:
-        """The table of closed fixes."""
+    def _located(self, packets: Packets, groups: Groups) -> Fixes:
+        """The columns of closed fixes."""
         scenario = self.asked.scenario
         known = scenario.anchors_file.ids
-        found = combined(packets, groups, len(known), scenario.combine)
+        combine = DISTINCT if self.distinct else scenario.combine
+        found = combined(packets, groups, len(known), combine)
+        if self.distinct and len(found.columns) > len(known) and not self.said:
+            self.said = True
+            self.say(_SAID)
         tags = [packets.tags[i] for i in groups.tag]
         track, number = self.numbering.of(tags, found.time)
         numbered = packets.fix is not None or packets.sequence is not None
@@ -118,4 +131,4 @@ class Live:
             poses=scenario.poses_of(found, groups.tag),
         )
         solved = self.method.solve(tracks, track[first])
-        return fixes.table(tracks, solved, self.max_sigma_m, numbers=track[first])
+        return fixes.columns(tracks, solved, self.max_sigma_m, numbers=track[first])

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from aoabench.devices.packets import Packets
+from aoabench.devices.table import Table
 from aoabench.maths.geometry import Array
 
 
 def joined(a: Packets, b: Packets) -> Packets:
-    """The packets of `a`, then those of `b`, of one stream."""
-    import pandas as pd
-
+    """The packets of `a`, then those of `b`, of one stream, both `without_rows`."""
     n, m = a.count, b.count
     tags, ours, theirs = _merged(a.tags, b.tags)
     fixes, our_fixes, their_fixes = _merged(a.fixes, b.fixes)
@@ -24,7 +23,6 @@ def joined(a: Packets, b: Packets) -> Packets:
     fix = None
     if a.fix is not None and b.fix is not None:
         fix = np.concatenate([our_fixes[a.fix], their_fixes[b.fix]])
-    frame = pd.concat([a.table.frame, b.table.frame])
     return replace(
         b,
         anchor=np.concatenate([a.anchor, b.anchor]),
@@ -36,8 +34,21 @@ def joined(a: Packets, b: Packets) -> Packets:
         time=_both(a.time, b.time),
         sequence=_both(a.sequence, b.sequence),
         truth=np.concatenate([a.truth, b.truth]),
-        table=replace(b.table, frame=frame),
     )
+
+
+@dataclass(frozen=True)
+class Gone(Table):
+    """A log's name and remarks, without its rows."""
+
+    def where(self, keep: np.ndarray) -> Table:
+        return self
+
+
+def without_rows(packets: Packets) -> Packets:
+    """The packets without the rows of the log, which only messages need."""
+    table = packets.table
+    return replace(packets, table=Gone(table.key, table.path, {}, None, table.parts))  # type: ignore[arg-type]
 
 
 def without_unused_names(packets: Packets) -> Packets:

@@ -9,10 +9,11 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from aoabench.deployment.mixing import joined
+from aoabench.deployment.mixing import joined, without_rows
 from aoabench.deployment.request import Asked, Request
 from aoabench.devices.live import Live
 from aoabench.devices.packets import Packets
@@ -22,21 +23,24 @@ from aoabench.errors import BadValue, UserError
 BEGIN_S = 1.0  # s and bytes after which a mistake in the beginning is told: until then, more of
 BEGIN_BYTES = 2**16  # the log may mend it, such as further anchors
 LONGEST = 2**20  # bytes of a first line
-_TAGS = "scenario.tags="
+_TAGS, _COMBINE = "scenario.tags=", "scenario.combine="
 
 
 class Reader:
     """The reader of one stream; `asked` once its beginning has been read. `say` prints a line.
 
-    A wanted tag may come late, so that tags are chosen here and not by the scenario.
+    A wanted tag may come late, so that tags are chosen here and not by the scenario. distinct:
+    whether packets of an anchor in a fix that differ are all used, in place of the error of a file.
     """
 
     asked: Asked
 
     def __init__(self, request: Request, say: Callable[[str], None]) -> None:
         self.tags = _tags(request)
-        others = tuple(word for word in request.settings if not word.startswith(_TAGS))
-        self.request, self.say = replace(request, settings=others), say
+        self.distinct = _last(request, _COMBINE) in (None, "error")
+        others = [word for word in request.settings if not word.startswith(_TAGS)]
+        others += [f"{_COMBINE}each"] * self.distinct
+        self.request, self.say = replace(request, settings=tuple(others)), say
         self._beginning, self._since = b"", np.inf
         self._live: Live | None = None
 
@@ -95,7 +99,8 @@ class Reader:
         """The packets of the wanted tags in some rows, [] without any."""
         if isinstance(content, Rows) and not len(content.frame):
             return []
-        packets, _ = self.asked.scenario.packets_of(content, "-")
+        found, _ = self.asked.scenario.packets_of(content, "-", quick=True)
+        packets = without_rows(found)
         if self.tags is not None:
             wanted = np.array([tag in self.tags for tag in packets.tags])
             packets = packets.where(wanted[packets.tag])
@@ -104,11 +109,17 @@ class Reader:
 
 def _tags(request: Request) -> set[str] | None:
     """The tags that are wanted; None for all."""
+    found = _last(request, _TAGS)
+    if found is None:
+        return None
+    if isinstance(found, str) or not isinstance(found, Sequence):
+        raise BadValue("scenario.tags", found, "a list of tags, or null")
+    return {str(tag) for tag in found}
+
+
+def _last(request: Request, key: str) -> Any:
+    """The last value that the settings give to a key, with its `=`; None without any."""
     from aoabench.config.overrides import read
 
-    found = [read([word])[0].value for word in request.settings if word.startswith(_TAGS)]
-    if not found or found[-1] is None:
-        return None
-    if isinstance(found[-1], str) or not isinstance(found[-1], Sequence):
-        raise BadValue("scenario.tags", found[-1], "a list of tags, or null")
-    return {str(tag) for tag in found[-1]}
+    found = [read([word])[0].value for word in request.settings if word.startswith(key)]
+    return found[-1] if found else None

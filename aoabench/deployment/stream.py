@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 PIECE = 2**18  # bytes that are read at once
-GATHER_S = 0.005  # what arrives within this time is read together
+GATHER_S = 0.005, 0.015  # what arrives within this time is read together: at least, at most
+SHARE = 3  # times as long as the piece before took
 
 
 @dataclass(frozen=True)
@@ -20,25 +21,36 @@ class Piece:
     at: float
 
 
-def pieces(file: int, wait_s: Callable[[], float | None]) -> Iterator[Piece]:
-    """Yield what arrives at a file descriptor, until it ends.
+def pieces(
+    file: int, wait_s: Callable[[], float | None], wake: int | None = None
+) -> Iterator[Piece]:
+    """Yield what arrives at a file descriptor, until it ends, or until `wake`, another one, can be
+    read.
 
-    An empty piece is yielded when nothing has arrived for `wait_s()` s; None: wait for ever.
+    The busier the stream, the longer the pieces, because each has a cost of its own. An empty piece
+    is yielded when nothing has arrived for `wait_s()` s; None: wait for ever.
     """
+    least, most = GATHER_S
+    took = 0.0
     while True:
-        if not _ready(file, wait_s()):
+        ready = _ready([file] if wake is None else [file, wake], wait_s())
+        if wake in ready:
+            return
+        if not ready:
             yield Piece(b"", time.monotonic())
             continue
-        time.sleep(GATHER_S)
+        time.sleep(min(max(SHARE * took, least), most))
         found = os.read(file, PIECE)
         if not found:
             return
+        begin = time.process_time()
         yield Piece(found, time.monotonic())
+        took = time.process_time() - begin
 
 
-def _ready(file: int, wait_s: float | None) -> bool:
-    """Whether there is something to read within `wait_s` s, or the stream has ended."""
+def _ready(files: list[int], wait_s: float | None) -> list[int]:
+    """Those of the files that have something to read within `wait_s` s, or that have ended."""
     try:
-        return bool(select.select([file], [], [], wait_s)[0])
+        return select.select(files, [], [], wait_s)[0]
     except (ValueError, OSError):  # a system that waits for sockets alone
-        return True
+        return files[:1]

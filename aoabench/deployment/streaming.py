@@ -6,20 +6,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aoabench.deployment.live import Live
+from aoabench.deployment.live import Fixes, Live
 from aoabench.deployment.reader import Reader
 from aoabench.deployment.request import Request
 from aoabench.deployment.stream import pieces
 from aoabench.deployment.summary import percent, sentence
 from aoabench.errors import UserError
 from aoabench.types import Outcome
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _OK = Outcome.OK.name.lower()
 
@@ -40,13 +36,15 @@ class Run:
     def __post_init__(self) -> None:
         self.reader = Reader(self.request, self.say)
 
-    def tables(self, file: int) -> Iterator[pd.DataFrame]:
-        """The tables of fixes of a stream, given by its file descriptor, until it ends."""
-        for piece in pieces(file, self._wait_s):
+    def tables(self, file: int, wake: int | None = None) -> Iterator[Fixes]:
+        """The tables of fixes of a stream, given by its file descriptor, until it ends, or until
+        `wake`, another one, can be read.
+        """
+        for piece in pieces(file, self._wait_s, wake):
             yield from self.table(piece.text, piece.at, ended=False)
         yield from self.rest()
 
-    def rest(self) -> Iterator[pd.DataFrame]:
+    def rest(self) -> Iterator[Fixes]:
         """The table of the fixes that are still open."""
         yield from self.table(b"", time.monotonic(), ended=True)
         if self.live is None:
@@ -57,13 +55,14 @@ class Run:
     def _wait_s(self) -> float | None:
         return self.reader.wait_s() if self.live is None else self.live.wait_s()
 
-    def table(self, text: bytes, now: float, ended: bool = False) -> Iterator[pd.DataFrame]:
+    def table(self, text: bytes, now: float, ended: bool = False) -> Iterator[Fixes]:
         """The table of the fixes that close when `text` has arrived at the time `now`
         (time.monotonic) s, or when the stream has `ended`; nothing without any.
         """
         packets = self.reader.packets(text, now, ended)
         if self.live is None and packets is not None:
-            self.live = Live(self.reader.asked, self.max_sigma_m)
+            reader = self.reader
+            self.live = Live(reader.asked, self.say, reader.distinct, self.max_sigma_m)
         if self.live is None:
             return
         found = self.live.take(packets, now, ended)
@@ -71,10 +70,10 @@ class Run:
             self._count(found)
             yield found
 
-    def _count(self, frame: pd.DataFrame) -> None:
-        self.fixes += len(frame)
-        self.given += int(np.isfinite(frame["x_m"].to_numpy()).sum())
-        outcome, reason = frame["outcome"].to_numpy(), frame["reason"].to_numpy()
+    def _count(self, frame: Fixes) -> None:
+        self.fixes += len(frame["x_m"])
+        self.given += int(np.isfinite(frame["x_m"]).sum())
+        outcome, reason = frame["outcome"], frame["reason"]
         bad = outcome != _OK
         self.bad.update(zip(outcome[bad], reason[bad]))
 

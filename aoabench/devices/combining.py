@@ -21,6 +21,7 @@ from aoabench.maths.geometry import Array, wrap
 from aoabench.types import Measurements
 
 COMBINE = ("error", "each", "first", "last", "median", "mean")
+DISTINCT = "distinct"  # each, but equal ones once: of a stream, which an error would end
 _ADVICE = (
     "one row per anchor in each fix, or scenario.combine=median, mean or each, which use all rows; "
     "scenario.columns.tag keeps tags apart, and a shorter scenario.window_s makes more fixes"
@@ -62,10 +63,13 @@ def combined(packets: Packets, groups: Groups, anchors: int, combine: str) -> Co
     if combine == "error":
         _check_equal(packets, order, new)
     keep = {"error": new, "first": new, "last": np.append(new[1:], True)}.get(combine)
+    if combine == DISTINCT:
+        keep = _distinct(packets, pair, order)
+        new = np.diff(pair[keep], prepend=-1) != 0
     used = order if keep is None else order[keep]
     columns, column = np.arange(anchors), packets.anchor[used]
     values, moved = _measured({name: value[used] for name, value in packets.values.items()}), 0.0
-    if combine == "each":
+    if combine in ("each", DISTINCT):
         columns, column = _each(packets, groups, used, new, anchors)
     elif keep is None:
         values, moved = _averaged(values, np.cumsum(new) - 1, combine)
@@ -95,6 +99,21 @@ def _order(packets: Packets, time: Array, pair: np.ndarray, combine: str) -> np.
     """
     alike = () if combine in ROWS and np.isnan(time).any() else tuple(packets.values.values())
     return np.lexsort((*alike, time, pair))
+
+
+def _distinct(packets: Packets, pair: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Whether packets (N,), in the `order` of their pairs (N,) of fix and anchor, are the first of
+    their pair with their values.
+    """
+    values = [value[order] for value in packets.values.values()]
+    alike = np.lexsort((*values, pair))  # stable: the first of equal ones stays the first
+    repeated = np.diff(pair[alike], prepend=-1) == 0
+    for value in (value[alike] for value in values):
+        same = (value[1:] == value[:-1]) | (np.isnan(value[1:]) & np.isnan(value[:-1]))
+        repeated[1:] &= same
+    found = np.empty(len(pair), dtype=bool)
+    found[alike] = ~repeated
+    return found
 
 
 def _check_equal(packets: Packets, order: np.ndarray, new: np.ndarray) -> None:

@@ -164,7 +164,7 @@ def _azimuth(table: Table, given: Conventions) -> Array:
 def _elevation(table: Table, given: Conventions) -> Array:
     """Elevations (N,) rad, up from the horizontal; NaN where the table has none."""
     if "elevation" not in table.names:
-        return np.full(len(table.frame), np.nan)
+        return np.full(table.count, np.nan)
     turn, kind = TURN[given.elevation_unit], given.elevation_kind
     raw, limit = table.numbers("elevation"), turn * given.elevation_limit_deg / 360
     zeros = {"elevation": (0, 1), "depression": (0, -1), "zenith": (turn / 4, -1)}

@@ -20,14 +20,14 @@ def times(table: Table, column: str, unit: str, complete: bool) -> Array:
     """
     import pandas as pd
 
-    cells, name = table.frame[column], table.names[column]
+    name = table.names[column]
     if table.is_number(column):
         raw = table.numbers(column, empty=not complete)
         far = np.abs(raw) * SECONDS[unit] > FAR_S
         table.check(column, far, f"times in {unit} in {name}{_other_unit(raw[far])}")
         return raw * SECONDS[unit]
     moments = table.dates(column)
-    wrong = moments.isna().to_numpy() & (complete | cells.notna().to_numpy())
+    wrong = moments.isna().to_numpy() & (complete | table.frame[column].notna().to_numpy())
     table.check(column, wrong, f"a time in {name} in every row, each in ISO 8601")
     since = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
     return np.asarray(since, dtype=float)

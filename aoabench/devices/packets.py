@@ -186,7 +186,7 @@ def _sequence(table: Table) -> np.ndarray | None:
 
 def _truth(table: Table) -> Array:
     """True positions (N, 3) m, NaN where a row has none."""
-    nothing = np.full(len(table.frame), np.nan)
+    nothing = np.full(table.count, np.nan)
     found = np.stack([table.numbers(a) if a in table.names else nothing for a in "xyz"], axis=-1)
     found[np.isnan(found[:, :2]).any(axis=1)] = np.nan
     return found

@@ -74,6 +74,11 @@ class Table:
         table = Table(key, path, shown, frame, content.parts, content.notes, content.stated)
         return table.where(table.frame.notna().any(axis=1).to_numpy())
 
+    @property
+    def count(self) -> int:
+        """The number of rows N."""
+        return len(self.frame)
+
     def where(self, keep: np.ndarray) -> Table:
         """The table of the rows where `keep` (N,) is True."""
         return self if keep.all() else replace(self, frame=self.frame[keep])

@@ -119,6 +119,8 @@ def try_tile(
         except (UserError, MemoryError):
             raise
         except Exception as error:  # any exception of the estimator
+            if _interrupted(error):
+                raise KeyboardInterrupt from error
             if len(some) > 1:
                 todo += np.array_split(some, 2)
             else:
@@ -133,6 +135,14 @@ def try_tile(
         pieces.append((some, good))
     whole = len(pieces) == 1 and not errors
     return truth, pieces[0][1] if whole else _assembled(pieces, shape), errors
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether an exception comes from an interruption, as those of a compiler may."""
+    seen = 0
+    while error is not None and not isinstance(error, KeyboardInterrupt) and seen < 100:
+        error, seen = error.__cause__ or error.__context__, seen + 1
+    return isinstance(error, KeyboardInterrupt)
 
 
 def _assembled(pieces: list[tuple[np.ndarray, Estimates]], shape: tuple[int, ...]) -> Estimates:

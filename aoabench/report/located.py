@@ -18,7 +18,8 @@ ELLIPSES = 60  # at most
 MOST_DRAWN = 5000  # fixes, evenly spaced
 MOST_NAMED = 40  # anchors with names
 SCALE = "cividis"
-MARKERS = "oDsv^<>P"
+MARKERS = "oDsv^<>PXp"
+TAGS = "tab10"  # colours of the tags' lines and of the edges of their fixes
 LEVEL_95 = 2.4477468306808164  # standard deviations in the plane that hold 95 %
 
 
@@ -110,18 +111,29 @@ def _tracks(axis: Any, frame: pd.DataFrame) -> Any:
     norm = Normalize(given["at"].min(), given["at"].max())
     tags = list(dict.fromkeys(given["tag"].fillna("")))
     drawn = None
+    colour = _colours(tags)
     for _, one in given.groupby("track", sort=True):
-        axis.plot(one["x_m"], one["y_m"], color="0.7", linewidth=0.5, zorder=3)
+        line = {"color": colour[one["tag"].fillna("").iloc[0]], "linewidth": 0.6, "zorder": 3}
+        axis.plot(one["x_m"], one["y_m"], **line)
     for i, tag in enumerate(tags):
         mine = given[given["tag"].fillna("") == tag]
         marker = MARKERS[i % len(MARKERS)]
         many = len(tags) > 1 and i < len(MARKERS)
-        look = {"s": 14 if len(given) < 500 else 6, "marker": marker, "linewidths": 0}
+        look = {"s": 14 if len(given) < 500 else 8, "marker": marker, "linewidths": 0.7 * many}
+        look |= {"edgecolors": colour[tag]} if many else {}
         drawn = axis.scatter(
             mine["x_m"], mine["y_m"], c=mine["at"], cmap=SCALE, norm=norm, zorder=4,
             label=f"tag {tag}" if many else None, **look,
         )  # fmt: skip
     return drawn
+
+
+def _colours(tags: Sequence[str]) -> dict[str, Any]:
+    """The colour of each tag's lines; grey for a single tag, and for more than have markers."""
+    from matplotlib import colormaps
+
+    own = colormaps[TAGS].colors if len(tags) > 1 else ()  # type: ignore[attr-defined]
+    return {tag: own[i] if i < len(own) else "0.7" for i, tag in enumerate(tags)}
 
 
 def _at(frame: pd.DataFrame) -> Any:
@@ -135,7 +147,7 @@ def _ellipses(axis: Any, frame: pd.DataFrame) -> None:
     from matplotlib.patches import Ellipse
 
     columns = ["x_m", "y_m", "sigma_major_m", "sigma_minor_m", "ellipse_deg"]
-    rows = _finite(frame, *columns)
+    rows = _finite(frame.sort_values("track", kind="stable"), *columns)  # some of each track
     for number, (x, y, a, b, turn) in enumerate(rows[:: max(-(-len(rows) // ELLIPSES), 1)]):
         size = 2 * LEVEL_95 * a, 2 * LEVEL_95 * b
         look: dict[str, Any] = {"facecolor": plots.COLOURS["vmf"], "linewidth": 0, "zorder": 2.5}
@@ -203,4 +215,6 @@ def _legend(made: Figure, axis: Any, outside: int) -> None:
 
         handles.append(Line2D([], [], linestyle="none"))
         labels.append(f"beyond the map: {outside}")
-    made.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6))
+    columns = min(len(labels), 6)
+    made.set_figheight(made.get_figheight() + 0.25 * ((len(labels) - 1) // columns))
+    made.legend(handles, labels, loc="outside lower center", ncols=columns, markerscale=1.5)

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +23,7 @@ from aoabench.devices.formats import opened
 from aoabench.devices.grouping import grouped, tracks
 from aoabench.devices.naming import unread
 from aoabench.devices.packets import Given, Packets, read_packets
+from aoabench.devices.plain import plain_rows
 from aoabench.devices.poses import placed
 from aoabench.devices.reading import Content
 from aoabench.devices.table import Table
@@ -236,9 +238,11 @@ class Recorded(LogParameters):
             anchors.check_local("the log's true positions are local")
         return packets, notes
 
-    def packets_of(self, content: Content, path: Any) -> tuple[Packets, list[str]]:
+    def packets_of(
+        self, content: Content, path: Any, quick: bool = False
+    ) -> tuple[Packets, list[str]]:
         """The packets of all tags in the content of a log, and remarks to print; `path` is the
-        log's name in messages.
+        log's name in messages. quick: for a small piece of a log, plain rows are parsed as such.
         """
         anchors = self._anchors
         conventions, time_unit = conventions_of(self, content)
@@ -249,7 +253,11 @@ class Recorded(LogParameters):
             range_sigma_m=self.range_sigma_m,
             unknown_anchors=self.unknown_anchors,
         )
-        table = Table.of(content, "path", path, columns_of(self, content))
+        names = columns_of(self, content)
+        if quick and (rows := plain_rows(content, "path", path, names)) is not None:
+            with suppress(BadValue):  # told with its line below
+                return read_packets(rows, anchors, given)
+        table = Table.of(content, "path", path, names)
         try:
             packets, notes = read_packets(table, anchors, given)
         except BadValue as error:

@@ -109,6 +109,38 @@ def test_an_interrupted_stream_gives_what_it_has(here, log):  # noqa: F811
     assert len(pd.read_csv("out.csv")) == 1
 
 
+SENDING = """
+import os, signal, sys, time
+from aoabench.estimators.robust import RobustLikelihood
+usual = RobustLikelihood.__call__
+def call(self, *given):
+    os.kill(os.getpid(), signal.{name})
+    time.sleep(0.05)
+    return usual(self, *given)
+RobustLikelihood.__call__ = call
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from aoabench.cli.main import main
+main({words!r})
+"""
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_while_fixes_are_computed_loses_none(here, log, name, status):  # noqa: F811
+    rows = rows_of(POINTS, "T1")
+    path = log(rows, "time_s,tag,anchor,azimuth_deg,elevation_deg")
+    words = ["locate", "-", "--anchors", "anchors.csv", "scenario.window_s=0.1", "-o", "out.csv",
+             "estimator.robust_ml.engine=numpy"]  # fmt: skip
+    command = [sys.executable, "-c", SENDING.format(name=name, words=words)]
+    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True) as run:
+        run.stdin.write(path.read_text())
+        run.stdin.flush()  # the stream goes on
+        run.wait(60)
+        said = run.stderr.read()
+    assert run.returncode == status, said
+    assert said.splitlines()[-1].endswith("4 fixes, 4 with a position (100 %)")
+    assert (pd.read_csv("out.csv")["outcome"] == "ok").all()
+
+
 @pytest.mark.parametrize(("words", "expected"), [
     (["--plan", "walls.geojson"], "--plan=walls.geojson is not allowed with LOG=-"),
     (["--truth", "log.csv"], "--truth=log.csv is not allowed with LOG=-"),

@@ -45,7 +45,7 @@ def streamed(run, text, cuts, step_s=0.002):
         now += step_s
         found += run.table(b"".join(lines[i] for i in some), now)
     found += run.table(b"", now, ended=True)
-    return pd.concat(found, ignore_index=True)
+    return pd.concat(map(pd.DataFrame, found), ignore_index=True)
 
 
 def same(stream, file):
@@ -128,6 +128,24 @@ def test_a_fix_closes_after_its_window_or_in_silence(room):
     (closed,) = run.table(b"", 20.0 + windows.HOLD_S + 1e-6)
     assert closed["time_s"].tolist() == [1.0]
     assert closed["fix"].tolist() == ["1"]
+
+
+@pytest.mark.parametrize("settings", [(), ("scenario.combine=error",)])
+@pytest.mark.parametrize("cut", [6, 9])
+def test_packets_that_differ_are_all_used_and_equal_ones_once(room, settings, cut):
+    rows = rows_of(POINTS, "T1")
+    other = rows[8].rsplit(",", 1)[0] + ",-20"
+    lines = [LONG, *rows[:4], rows[0], *rows[4:9], other, rows[8], *rows[9:]]
+    tables = []
+    for more in ((), ("scenario.combine=each",)):
+        run, said = run_of(room, "scenario.window_s=0.1", *(more or settings))
+        tables.append(streamed(run, "\n".join([*lines, ""]), [cut, cut + 3], step_s=0.2))
+        assert sum("differ; all of them are used" in line for line in said) == (not more)
+    each = streamed(run_of(room, "scenario.window_s=0.1", "scenario.combine=each")[0],
+                    "\n".join([LONG, *rows[:9], other, *rows[9:], ""]), [cut])  # fmt: skip
+    assert tables[0]["packets"].tolist() == [5, 4, 6, 4]
+    same(tables[0].drop(columns="packets"), each.drop(columns="packets"))
+    assert not np.allclose(tables[0]["sigma_major_m"], tables[1]["sigma_major_m"], atol=1e-9)
 
 
 def test_packets_after_the_end_are_counted_and_a_clock_may_start_again(room):
@@ -261,7 +279,7 @@ def test_rows_may_be_cut_anywhere(room, log, rng, end):
     cuts = [0, *np.sort(rng.choice(np.arange(1, len(text)), 50, replace=False)), len(text)]
     found = [f for a, b in pairwise(cuts) for f in run.table(text[a:b], 1e-5 * a)]
     found += run.table(b"", 10.0, ended=True)
-    assert same(pd.concat(found), file.frame)
+    assert same(pd.concat(map(pd.DataFrame, found)), file.frame)
 
 
 def test_a_line_without_end_is_refused(room):

@@ -205,6 +205,29 @@ def test_files_hold_the_same_numbers(room, log):
             assert place == pytest.approx([row["x_m"], row["y_m"], row["z_m"]], abs=1e-6)
 
 
+def test_geojson_has_each_cell_of_the_table(room, log):
+    frame = located_in(log(rows_of(POINTS)), room).frame.assign(tag=['a"%s', None, "\n", "ü"])
+    frame.loc[2, "x_m"], frame.loc[3, "z_m"], frame.loc[0, "sigma_z_m"] = np.nan, np.nan, np.inf
+    files.write(frame, room / "out.geojson")
+    features = json.loads((room / "out.geojson").read_text(), parse_constant=pytest.fail)[
+        "features"
+    ]
+    assert [len(f["geometry"]["coordinates"]) if f["geometry"] else 0 for f in features] == [
+        3,
+        3,
+        0,
+        2,
+    ]
+    for (_, row), feature in zip(frame.iterrows(), features, strict=True):
+        found = feature["properties"]
+        assert list(found) == list(frame)
+        for name, value in row.items():
+            known = isinstance(value, str) or (value is not None and np.isfinite(value))
+            value = value if known else None
+            close = pytest.approx(value, abs=1e-6) if isinstance(value, float) else value
+            assert found[name] == close, name
+
+
 @pytest.mark.parametrize(
     ("turned", "named"), [({"A2": 90.0}, "A2"), ({}, None), (dict.fromkeys(ANCHORS, 90.0), "")]
 )
@@ -246,11 +269,14 @@ def test_a_csv_with_any_names_reads_back(room, log):
     found = located_in(log(rows_of(POINTS)), room).frame
     for tag in ("a,b", 'say "x"', "two\nlines", "ü", None, "plain"):
         frame = found.assign(tag=tag)
-        read = pd.read_csv(io.BytesIO(files.csv_text(frame)), dtype={"tag": object, "fix": object})
+        columns = {name: frame[name].to_numpy() for name in frame}
+        read = pd.read_csv(
+            io.BytesIO(files.csv_text(columns)), dtype={"tag": object, "fix": object}
+        )
         assert list(read) == list(fixes.COLUMNS)
         assert read["tag"].replace({np.nan: None}).tolist() == [tag] * 4
         assert np.allclose(read["sigma_major_m"], frame["sigma_major_m"], atol=1e-6)
-        assert files.csv_text(frame, header=False) == files.csv_text(frame).partition(b"\n")[2]
+        assert files.csv_text(columns, header=False) == files.csv_text(columns).partition(b"\n")[2]
 
 
 def test_from_python(room, log):
