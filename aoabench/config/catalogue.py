@@ -89,6 +89,12 @@ def fitting_estimators(scenario: Scenario, noise: Noise) -> dict[str, list[str]]
     return found
 
 
+def causal_estimators() -> set[str]:
+    """Names of the shipped filters and estimators that use no later measurements."""
+    each = [pair for group in LISTS for pair in _shipped_estimators()[group].items()]
+    return {name for name, node in each if as_estimator(construct(node, name), name).causal}
+
+
 def fitting_noises(scenario: Scenario, estimator: Estimator) -> list[str]:
     """The shipped noises with which an estimator runs in this scenario."""
     nodes = _shipped_nodes("noise")

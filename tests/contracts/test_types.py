@@ -17,6 +17,7 @@ FOREIGN = {
     ("devices/foreign.py", "strerror"),
     ("store/live.py", "py_func"),
     ("cli/main.py", None),  # signals that a platform lacks
+    ("cli/stopping.py", None),
 }
 
 

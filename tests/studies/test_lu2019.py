@@ -57,7 +57,7 @@ for toa in (True, False):
     for M in (1, 4, 8):
         Counted.n = 0
         y, sigma = rng.normal(size=(3, 1, 1, M)).astype(object), np.ones((3, 1, 1, M)).astype(object)  # not counted
-        K.ekf(counted(np.zeros((1, 9))), counted(np.eye(9)), F, Q, *y, *sigma,
+        K.ekf(counted(np.zeros((1, 9))), counted(np.eye(9)), F[None, None], Q[None, None], *y, *sigma,
               counted(rng.normal(size=(1, 1, M, 3))), counted(rng.normal(size=(1, 1, M, 9))), counted(np.ones((1, 1, M, 3)), Deviation),
               toa, False, False, False, False,
               np.zeros((1, 1, 3)), np.zeros((1, 1, 3, 3)), np.zeros((1, 1)), np.zeros((1, 1), int))
