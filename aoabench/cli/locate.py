@@ -35,7 +35,11 @@ _SHOWN = 10  # rows on the screen
     shell_complete=override_items,
     help="How to read the log, as in `aoabench list recorded`; parameters of the method too.",
 )
-@click.option("--anchors", help="The file of the anchors: id, x_m, y_m, z_m, facing_deg ...")
+@click.option(
+    "--anchors",
+    help="The file of the anchors: id, x_m, y_m, z_m, facing_deg ...  Not needed for a log with "
+    "the positions of its receivers (anchor_x_m ...).",
+)
 @click.option("--format", "form", help="The format of the log, such as ublox or silabs.")
 @click.option("--estimator", help="The estimator.  [default: robust_ml]")
 @click.option("--filter", "filter_", help="A filter or smoother, in place of an estimator.")
