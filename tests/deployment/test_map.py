@@ -7,7 +7,7 @@ from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 
-from aoabench.deployment import fixes, located
+from aoabench.deployment import figures, fixes, located
 from aoabench.deployment.request import Request
 from aoabench.report import located as report
 from tests.deployment.conftest import ANCHORS, POINTS, rows_of
@@ -81,6 +81,37 @@ def test_each_tag_has_its_marker_and_each_track_its_line(drawn):
     assert [p.get_label() for p in of(axis, PathCollection)][:2] == ["tag a", "tag b"]
     tracks = [line for line in axis.lines if line.get_linestyle() == "-"]
     assert [len(line.get_xdata()) for line in tracks] == [2, 2]
+
+
+def test_ten_tags_have_a_colour_each_a_name_and_ellipses(drawn):
+    import pandas as pd
+
+    tags = [f"T{i}" for i in range(10)]
+
+    def change(frame):
+        many = pd.concat([frame] * 250, ignore_index=True)
+        return many.assign(tag=tags * 100, track=list(range(10)) * 100, x_m=list(range(10)) * 100)
+
+    axis, _ = drawn(change)
+    points = {p.get_label(): p for p in of(axis, PathCollection) if p.get_label() in
+              [f"tag {tag}" for tag in tags]}  # fmt: skip
+    assert len(points) == 10
+    assert len({tuple(p.get_edgecolor()[0]) for p in points.values()}) == 10
+    assert {ellipse.center[0] for ellipse in of(axis, Ellipse)} == set(range(10))
+    texts = [text.get_text() for text in axis.figure.legends[0].get_texts()]
+    assert set(points) <= set(texts)
+
+
+def test_the_title_names_the_log_and_counts(room, log, tmp_path, monkeypatch):
+    titles = []
+    monkeypatch.setattr(report, "figure", lambda frame, around, title: titles.append(title))
+    monkeypatch.setattr(figures.plots, "save", lambda make, path: make())
+    path = log(
+        [*rows_of(POINTS, "T1"), *rows_of(POINTS, "T2")], "fix,tag,anchor,azimuth_deg,elevation_deg"
+    )
+    asked = Request(str(path), str(room / "anchors.csv")).asked()
+    figures.write(located.locate(asked), tmp_path / "out.csv")
+    assert titles == ["log.csv: 8 fixes of 2 tags, robust_ml"]
 
 
 def test_a_map_without_any_fix(drawn):

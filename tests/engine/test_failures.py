@@ -241,3 +241,21 @@ def test_each_replication_keeps_its_own_anchors_when_a_tile_is_repeated():
     assert np.array_equal(tried.position[others], plain.position[:8][others])
     assert np.array_equal(tried.covariance[others], plain.covariance[:8][others])
     assert np.isnan(tried.position[5]).all()
+
+
+@dataclass(frozen=True)
+class Stopped(Estimator):
+    """Reports an interruption as a compiler does: as the cause of an error of its own."""
+
+    def __call__(self, batch, scenario, streams):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise RuntimeError("compilation failed") from error
+
+
+def test_an_interruption_is_no_outcome():
+    cell = compose_cells(["scenario=square_track", "noise=ae_normal", "filter=[ekf_vmf]"])[0]
+    draws = tiles.Draws(cell.scenario, cell.noise, 1)
+    with pytest.raises(KeyboardInterrupt):
+        tiles.try_tile(draws, Stopped(), 0)
