@@ -259,8 +259,7 @@ class Recorded(LogParameters):
             packets, notes = read_packets(table, anchors.ids, given)
         except BadValue as error:
             why = f"; {self.anchors} has no column id, so that its anchors are called 1, 2, ..."
-            more = why * anchors.numbered
-            raise BadValue(error.key, error.value, error.allowed + more) from None
+            raise BadValue(error.key, error.value, error.allowed + why * anchors.numbered) from None
         return packets, [*table.notes, *notes]
 
     def _at_height(self, truth: Array) -> Array:
@@ -276,8 +275,8 @@ class Recorded(LogParameters):
         tags = "" if packets.tags == ("",) else f" of {_number(len(packets.tags), 'tag')}"
         tracks = f" in {_number(len(made.counts), 'track')}{tags}"
         several = tracks if tags or len(made.counts) > 1 else ""
-        found = f"{len(made.fix)} fixes{several}, {known} with ground truth"
-        return f"{packets.table.path}: {found}; {packets.count} rows of {heard} anchors"
+        found = f"{packets.table.path}: {len(made.fix)} fixes{several}, {known} with ground truth"
+        return f"{found}; {packets.count} rows of {heard} anchors"
 
     def _chosen(self, content: Content, given: Given) -> dict[str, str]:
         """Map from aoabench's column names to the file's, for the columns to read."""
@@ -293,8 +292,7 @@ class Recorded(LogParameters):
         if self.truth_file is not None and own:
             allowed = f"null, for a log with true positions of its own; it has {listed(own)}"
             raise BadValue("truth", self.truth_file, allowed)
-        lone = "tag" not in chosen
-        return chosen | (identity.suspects(present, list(chosen.values())) if lone else {})
+        return chosen | ({} if "tag" in chosen else identity.suspects(present, [*chosen.values()]))
 
 
 def _number(n: int, word: str) -> str:
