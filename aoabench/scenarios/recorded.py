@@ -262,8 +262,7 @@ class Recorded(LogParameters):
             packets, notes = read_packets(table, anchors, given)
         except BadValue as error:
             why = f"; {self.anchors} has no column id, so that its anchors are called 1, 2, ..."
-            more = why * anchors.numbered
-            raise BadValue(error.key, error.value, error.allowed + more) from None
+            raise BadValue(error.key, error.value, error.allowed + why * anchors.numbered) from None
         return packets, [*table.notes, *notes]
 
     def _at_height(self, truth: Array) -> Array:
@@ -279,8 +278,8 @@ class Recorded(LogParameters):
         tags = "" if packets.tags == ("",) else f" of {_number(len(packets.tags), 'tag')}"
         tracks = f" in {_number(len(made.counts), 'track')}{tags}"
         several = tracks if tags or len(made.counts) > 1 else ""
-        found = f"{len(made.fix)} fixes{several}, {known} with ground truth"
-        return f"{packets.table.path}: {found}; {packets.count} rows of {heard} anchors"
+        found = f"{packets.table.path}: {len(made.fix)} fixes{several}, {known} with ground truth"
+        return f"{found}; {packets.count} rows of {heard} anchors"
 
 
 def _number(n: int, word: str) -> str:
