@@ -14,22 +14,18 @@ from aoabench.devices.documents import from_excel, from_json
 from aoabench.devices.foreign import reason_of
 from aoabench.devices.parquet import parquet
 from aoabench.devices.reading import AUTO, FILE, Content, Part, Reading
-from aoabench.devices.silabs import is_angles_alone, is_silabs, silabs
+from aoabench.devices.silabs import SILABS, is_angles_alone
 from aoabench.devices.sources import KINDS, expanded, stem, text_of
-from aoabench.devices.ublox import is_ublox, ublox
+from aoabench.devices.ublox import UBLOX
 from aoabench.devices.wide import widened
-from aoabench.errors import BadValue, listed
+from aoabench.errors import BadValue, check_choice, listed
 
 if TYPE_CHECKING:
     import pandas as pd
 
 HEAD = 1 << 16  # bytes that show a format
-_LOOKS = {"ublox": "u-blox lines (+UUDF)", "silabs": "Silicon Labs angles", "table": "a table"}
-DEVICES = {"ublox": ublox, "silabs": silabs}
-_WHOLE = {
-    "ublox": '+UUDF:tag,rssi,azimuth,elevation,rssi,channel,"anchor","text",ms[,number]',
-    "silabs": 'silabs/aoa/angle/locator/tag {"azimuth": ...}, as `mosquitto_sub -v` prints it',
-}
+DEVICES = {device.name: device for device in (UBLOX, SILABS)}
+FORMATS = ("auto", "table", *DEVICES)
 _TOPICS = (
     "these look like Silicon Labs angles without their topics, which name locator and tag: "
     "`mosquitto_sub -v` records both"
@@ -40,8 +36,9 @@ def opened(key: str, path: Any, given: Reading = AUTO) -> Content:
     """The content of a path, a list of paths or a glob; read once within `loaded.reading`.
 
     Several files are one content, whose column `file` has each file's name. Raises BadValue for a
-    file that cannot be read.
+    format that is not known and for a file that cannot be read.
     """
+    check_choice("format", given.format, FORMATS)
     files = tuple(expanded(key, path))
     return loaded.once(("content", files, given), lambda: _opened(key, path, files, given))
 
@@ -82,14 +79,14 @@ def text_content(text: bytes, key: str, path: str, given: Reading) -> Content:
     looks = looks_like(head)
     declared = looks if given.format == "auto" else given.format
     device = DEVICES.get(declared)
-    found = device(text.decode(errors="replace"), path) if device else None
+    found = device.read(text.decode(errors="replace"), path, 1) if device else None
     if declared != looks and (found is None or found.frame.empty):
-        wanted = f"{_LOOKS[declared]}, as scenario.format={declared} declares"
-        hint = f"these look like {_LOOKS[looks]}: scenario.format={looks}"
+        wanted = f"{_words(declared)}, as scenario.format={declared} declares"
+        hint = f"these look like {_words(looks)}: scenario.format={looks}"
         raise BadValue(key, path, f"{wanted}; {hint}")
-    if found is not None and found.frame.empty:
+    if device and found is not None and found.frame.empty:
         more = "".join(f"; {note.removeprefix(f'{path}: ')}" for note in found.notes)
-        raise BadValue(key, path, f"a log with at least one whole line: {_WHOLE[declared]}{more}")
+        raise BadValue(key, path, f"a log with at least one whole line: {device.whole}{more}")
     if found is not None:
         return found
     if is_angles_alone(head):
@@ -100,10 +97,13 @@ def text_content(text: bytes, key: str, path: str, given: Reading) -> Content:
 
 
 def looks_like(head: str) -> str:
-    """The format of a text by its first lines: ublox, silabs or table."""
-    if is_ublox(head):
-        return "ublox"
-    return "silabs" if is_silabs(head) else "table"
+    """The format of a text by its first lines: a device's, or table."""
+    return next((name for name, device in DEVICES.items() if device.recognised(head)), "table")
+
+
+def _words(name: str) -> str:
+    """What messages call a format."""
+    return DEVICES[name].words if name in DEVICES else "a table"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import re
 from dataclasses import replace
 
 from aoabench.devices.delimited import Delimited, following
@@ -16,7 +15,6 @@ from aoabench.devices.stamps import DAY_S
 from aoabench.devices.wide import widened
 from aoabench.errors import BadValue
 
-_MESSAGE_END = re.compile(rb"\}[ \t\r]*\n")
 _LONGEST = 1 << 24  # bytes without an end of a line
 
 
@@ -60,8 +58,8 @@ class Live:
                 return b""  # a header alone shows neither separator nor decimal mark
             self._format = looks
         end = self._rest.rfind(b"\n") + 1
-        if self._format == "silabs":
-            end = max((one.end() for one in _MESSAGE_END.finditer(self._rest)), default=0)
+        if device := DEVICES.get(self._format):
+            end = max((one.end() for one in device.end.finditer(self._rest)), default=0)
         whole, self._rest = self._rest[:end], self._rest[end:]
         return whole
 
@@ -82,7 +80,7 @@ class Live:
 
     def _parsed(self, whole: bytes, line: int) -> Content:
         if device := DEVICES.get(self._format):
-            return self._timed(device(whole.decode(errors="replace"), self._path, line))
+            return self._timed(device.read(whole.decode(errors="replace"), self._path, line))
         if self._first is not None:
             return following(self._first, whole, line)
         given = replace(self._given, format="auto")

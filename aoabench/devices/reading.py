@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from aoabench.errors import BadValue, check_choice, listed
+from aoabench.errors import BadValue, listed
 
 if TYPE_CHECKING:
     import pandas as pd
 
-FORMATS = ("auto", "table", "ublox", "silabs")
 SEPARATORS = {"tab": "\t", "\\t": "\t", "space": " ", "comma": ",", "semicolon": ";"}
 ANCHOR = "{anchor}"  # stands for an anchor's id in the name of a column of a wide table
 FILE = "file"  # the column that names each row's file, if several are read
@@ -21,9 +21,10 @@ FILE = "file"  # the column that names each row's file, if several are read
 class Reading:
     """How a log is read; the defaults recognise the file.
 
-    format: one of FORMATS. header: the names of the columns of a table without a header. separator:
-    the mark between cells, a blank for any white space. decimal: the decimal mark, `.` or `,`.
-    patterns: the names of columns that contain {anchor}, which a wide table has once per anchor.
+    format: one of `formats.FORMATS`. header: the names of the columns of a table without a header.
+    separator: the mark between cells, a blank for any white space. decimal: the decimal mark, `.`
+    or `,`. patterns: the names of columns that contain {anchor}, which a wide table has once per
+    anchor.
 
     Raises BadValue with the key of the same name in a scenario.
     """
@@ -35,7 +36,6 @@ class Reading:
     patterns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_choice("format", self.format, FORMATS)
         mark = SEPARATORS.get(self.separator or "", self.separator)
         object.__setattr__(self, "separator", mark)
         if mark is not None and (len(mark) != 1 or mark.isalnum() or mark in "\"'.+-\r\n\0"):
@@ -115,3 +115,19 @@ class Rows(Content):
                 raise ValueError(f"{name!r} has lists, not single texts, numbers or times")
         found.columns = list(names)
         return found
+
+
+class Device(NamedTuple):
+    """The text format of a device.
+
+    name: its name in `scenario.format`; words: what messages call it; whole: how a whole message
+    looks; recognised: whether the beginning of a text shows it; read: the rows of a text, whose
+    path and number of the first line are given; end: the end of a message in a stream.
+    """
+
+    name: str
+    words: str
+    whole: str
+    recognised: Callable[[str], bool]
+    read: Callable[[str, str, int], Rows]
+    end: re.Pattern[bytes] = re.compile(rb"\n")

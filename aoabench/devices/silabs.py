@@ -16,7 +16,7 @@ from collections import Counter
 import numpy as np
 
 from aoabench.devices.lines import line_ends, line_starts, matched, numbers, pieces, texts
-from aoabench.devices.reading import Part, Rows
+from aoabench.devices.reading import Device, Part, Rows
 from aoabench.devices.stamps import seconds
 
 STATED = {
@@ -53,7 +53,7 @@ def is_angles_alone(head: str) -> bool:
     return '"azimuth_stdev"' in head and '"sequence"' in head and not is_silabs(head)
 
 
-def silabs(text: str, path: str, first: int = 1) -> Rows:
+def angles(text: str, path: str, first: int = 1) -> Rows:
     """The angles of a text whose first line has the number `first`, with notes on what is left."""
     import pandas as pd
 
@@ -81,3 +81,13 @@ def _left(path: str, torn: int, others: int) -> tuple[str, ...]:
     if others:
         found.append(f"{path}: {others} messages of other topics than silabs/aoa/angle, not read")
     return tuple(found)
+
+
+SILABS = Device(
+    name="silabs",
+    words="Silicon Labs angles",
+    whole='silabs/aoa/angle/locator/tag {"azimuth": ...}, as `mosquitto_sub -v` prints it',
+    recognised=is_silabs,
+    read=angles,
+    end=re.compile(rb"\}[ \t\r]*\n"),
+)

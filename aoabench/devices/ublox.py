@@ -10,7 +10,7 @@ other answers of the modem are not read.
 from __future__ import annotations
 
 from aoabench.devices.lines import matched, numbers, pieces, texts
-from aoabench.devices.reading import Part, Rows
+from aoabench.devices.reading import Device, Part, Rows
 from aoabench.devices.stamps import seconds
 
 MARK = "+UUDF:"
@@ -35,11 +35,7 @@ _LINE = (
 )
 
 
-def is_ublox(head: str) -> bool:
-    return MARK in head
-
-
-def ublox(text: str, path: str, first: int = 1) -> Rows:
+def packets(text: str, path: str, first: int = 1) -> Rows:
     """The packets of a text whose first line has the number `first`; time_s only if the host's
     times stand in front, sequence and anchor only where a line has them.
     """
@@ -65,3 +61,12 @@ def _garbled(text: str, read: int, path: str) -> tuple[str, ...]:
     """A remark on lines that are cut or garbled, as on a serial line that drops bytes."""
     lost = text.count(MARK) - read
     return (f"{path}: {lost} +UUDF lines are cut or garbled, and not read",) if lost > 0 else ()
+
+
+UBLOX = Device(
+    name="ublox",
+    words="u-blox lines (+UUDF)",
+    whole='+UUDF:tag,rssi,azimuth,elevation,rssi,channel,"anchor","text",ms[,number]',
+    recognised=lambda head: MARK in head,
+    read=packets,
+)

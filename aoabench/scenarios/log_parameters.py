@@ -10,9 +10,10 @@ from typing import Any
 from aoabench.devices import log
 from aoabench.devices.columns import EXISTING
 from aoabench.devices.combining import COMBINE
+from aoabench.devices.formats import FORMATS
 from aoabench.devices.grouping import WINDOWS
 from aoabench.devices.moments import SECONDS
-from aoabench.devices.reading import ANCHOR, FORMATS, Reading
+from aoabench.devices.reading import ANCHOR, Reading
 from aoabench.models.motion import NAMED
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario

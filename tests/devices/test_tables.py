@@ -12,6 +12,7 @@ import pytest
 
 from aoabench import loaded
 from aoabench.devices.columns import header
+from aoabench.devices.formats import opened
 from aoabench.devices.reading import Reading
 from aoabench.devices.sources import content_of
 from aoabench.devices.table import Table
@@ -352,7 +353,7 @@ def test_of_a_file_that_grows_whole_lines_are_read(cut, here):
 ])  # fmt: skip
 def test_options_that_are_wrong(given, words):
     with pytest.raises(BadValue, match=words):
-        Reading(**given)
+        opened("path", "log.csv", Reading(**given))
 
 
 def test_a_separator_that_the_file_does_not_have(rows, here):
