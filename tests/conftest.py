@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pickle import dumps, loads
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from aoabench.cli.main import main
 from aoabench.models.motion import RandomWalk
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.square_track import SquareTrack
@@ -34,6 +35,19 @@ def track() -> SquareTrack:
         [[1, 0, 0], [-1, 0, 0], [-1, 0, 0], [1, 0, 0]],
     )
     return SquareTrack("square_track", layout, RandomWalk())
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[Any, str, str]]:
+    """The command line in this process: (words) -> exit status, standard output and error."""
+
+    def run(*words: object) -> tuple[Any, str, str]:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main([str(word) for word in words])
+        return stop.value.code, *capsys.readouterr()
+
+    return run
 
 
 @pytest.fixture(scope="session", autouse=True)

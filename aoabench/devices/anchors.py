@@ -75,8 +75,8 @@ class AnchorsFile(NamedTuple):
     of_log: bool = False
 
     def check_local(self, why: str) -> None:
-        """Raise BadValue if local coordinates, which `why` names, have an origin that nobody
-        declares, because the anchors are in degrees.
+        """Raise BadValue if there are local coordinates, which `why` names, and the anchors are in
+        degrees without a declared origin.
         """
         if self.assumed:
             allowed = (

@@ -1,4 +1,4 @@
-"""Columns of a log that look like the identity of what is located and that nobody reads."""
+"""Columns of a log that are not read although they look like the identity of what is located."""
 
 from __future__ import annotations
 

@@ -34,8 +34,8 @@ FORMS = "a file .geojson (or .json), .csv (or another table) or .dxf (save .dwg 
 
 class Plan(NamedTuple):
     """Walls (W, 2, 2) m, each from one point to another; the visited area in m^2 or None; remarks
-    to print; the unit that the coordinates were read in, None for m that nobody declared; whether
-    they were geodetic.
+    to print; the unit of the coordinates, None if none was declared and m was taken; whether they
+    were geodetic.
     """
 
     walls: Array

@@ -11,25 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from aoabench.cli.main import main
-
 LOGS = Path(__file__).parents[1] / "corpus" / "logs"
 P = np.array([(3, 2, 1.1), (9, 4, 1.1), (5, 3, 1.1), (7, 2, 1.1)])
 ROUTE = "scenario.route=[[1,1],[11,1],[11,5],[1,5]]"
 
 
-@pytest.fixture
-def call(capsys, tmp_path, monkeypatch):
-    """The function (words) -> exit status, standard output and error, in an empty folder."""
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """An empty working folder."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as stop:
-            main([str(word) for word in words])
-        return stop.value.code, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture

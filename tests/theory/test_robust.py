@@ -86,8 +86,12 @@ def test_the_gradient_equals_finite_differences(loss, height):
     R = np.broadcast_to(batch.anchors.rotation[0], (len(p), B, 3, 3))
     angles = batch.azimuth[0], batch.elevation[0], *weights
     f, _, centre = prepared(angles, s, R, height)
-    at, h = p - centre + 0.3, 1e-6
-    g = state(f, at, loss).g
+    check_gradient(f, p - centre + 0.3, loss, height)
+
+
+def check_gradient(f, at, loss, height):
+    """The model's gradient at points (N, 3) m against central differences."""
+    g, h = state(f, at, loss).g, 1e-6
     for axis in range(3 if np.isnan(height) else 2):
         step = h * np.eye(3)[axis]
         slope = (state(f, at + step, loss).cost - state(f, at - step, loss).cost) / (2 * h)

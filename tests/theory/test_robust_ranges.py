@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from aoabench.errors import Unfit
 from aoabench.estimators.robust import RobustLikelihood
-from aoabench.estimators.robust_model import prepared, state
+from aoabench.estimators.robust_model import prepared
 from aoabench.maths.geometry import LIGHT
 from aoabench.roles import Noise
 from aoabench.types import Outcome
@@ -20,6 +20,7 @@ from tests.theory.test_robust import (
     ORACLES,
     SIGMA,
     TIGHT,
+    check_gradient,
     errors,
     estimates,
     residuals,
@@ -86,12 +87,7 @@ def test_the_gradient_equals_finite_differences(loss, height):
     r = LIGHT * batch.delay[0]
     given = batch.azimuth[0], batch.elevation[0], *weights[:2], r, weights[2]
     f, _, centre = prepared(given, s, R, height)
-    at, h = p - centre + 0.3, 1e-6
-    g = state(f, at, loss).g
-    for axis in range(3 if np.isnan(height) else 2):
-        step = h * np.eye(3)[axis]
-        slope = (state(f, at + step, loss).cost - state(f, at - step, loss).cost) / (2 * h)
-        assert np.allclose(-g[:, axis], slope, rtol=1e-5, atol=1e-6)
+    check_gradient(f, p - centre + 0.3, loss, height)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
