@@ -44,9 +44,9 @@ class Setting:
     words: tuple[str, ...]
     judged: tuple[str, ...]
     baseline: str
-    sizes: tuple[int, ...]
-    seeds: int
     positions: int | None = None
+    sizes: tuple[int, ...] = (10, 25, 100)
+    seeds: int = 1000
 
 
 _TRACK = "noise=vmf", "filter=[ekf_vmf,ukf_ae_adaptive]"
@@ -67,7 +67,7 @@ _WALK = (
 def square_track(scale: str) -> pd.DataFrame:
     """Filters on the square track."""
     judged = ("ekf_vmf", "ukf_ae_adaptive")
-    return _table([Setting("", _TRACK, judged, "ekf_vmf", (10, 25, 100), 1000)], scale)
+    return _table([Setting("", _TRACK, judged, "ekf_vmf")], scale)
 
 
 def corridor(scale: str) -> pd.DataFrame:
@@ -79,10 +79,8 @@ def corridor(scale: str) -> pd.DataFrame:
                 (*_WALK, f"noise.an_sigma_m={sigma:g}"),
                 ("ekf_aoa",),
                 "ekf_toa_aoa",
-                (10, 25, 100),
-                seeds,
             )
-            for sigma, seeds in ((0.5, 1000), (0, 400))
+            for sigma in (0.5, 0)
         ],
         scale,
     )
@@ -91,22 +89,17 @@ def corridor(scale: str) -> pd.DataFrame:
 def bs_grid(scale: str) -> pd.DataFrame:
     """Maximum likelihood without phase-jump correction at random positions among base stations."""
     judged = ("ml_arctan", "ml_atan2")
-    return _table(_at_positions(_GRID, judged, "ml_kcorr", (1000, 400)), scale)
+    return _table(_at_positions(_GRID, judged, "ml_kcorr"), scale)
 
 
 def room(scale: str) -> pd.DataFrame:
     """The discrepancy filter at random points of a room."""
-    return _table(_at_positions(_ROOM, ("discrepancy",), "ls_lines", (500, 100)), scale)
+    return _table(_at_positions(_ROOM, ("discrepancy",), "ls_lines"), scale)
 
 
-def _at_positions(
-    words: tuple[str, ...], judged: tuple[str, ...], baseline: str, seeds: tuple[int, ...]
-) -> list[Setting]:
-    """Runs of 10, 25 and 100 replications at 100 positions, and of 10 and 25 at 1000."""
-    return [
-        Setting("", words, judged, baseline, sizes, n, positions)
-        for positions, sizes, n in zip((100, 1000), ((10, 25, 100), (10, 25)), seeds)
-    ]
+def _at_positions(words: tuple[str, ...], judged: tuple[str, ...], baseline: str) -> list[Setting]:
+    """Runs at 100 and at 1000 positions."""
+    return [Setting("", words, judged, baseline, positions) for positions in (100, 1000)]
 
 
 def _table(settings: list[Setting], scale: str) -> pd.DataFrame:
