@@ -162,6 +162,7 @@ def run_json(found: Finished) -> dict[str, Any]:
                 "seed": cell.seed,
                 "replications": cell.reps,
                 "config": cell.config,
+                "left_out": cell.left_out,
             }
             for cell in found.cells.values()
         ],

@@ -12,7 +12,7 @@ from aoabench.config.messages import explained
 from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options
-from aoabench.errors import UserError, did_you_mean
+from aoabench.errors import BadValue, UserError, did_you_mean
 from aoabench.params import key_of
 from aoabench.roles import Estimator, Noise, Scenario
 
@@ -153,7 +153,11 @@ def _that_fit(
     """Group and name of each estimator of a config that fits."""
     for group in LISTS:
         for name, node in plain[group].items():
-            if _fits(as_estimator(construct(node, name), name), scenario, noise):
+            try:
+                estimator = as_estimator(construct(node, name), name)
+            except BadValue:  # a model that is fitted to another kind of noise
+                continue
+            if _fits(estimator, scenario, noise):
                 yield group, name
 
 
