@@ -59,10 +59,12 @@ def run(
     "noise.sigma_deg=2,5", "reps=200")`. `estimators` adds objects of your own by name: callables
     (batch, scenario, streams) -> Estimates, which get the same draws as the presets. `out` is the
     folder of the tables (runner.out); results that are stored there are reused, unless `fresh`
-    computes them again and replaces them. Raises UserError for a mistake in the input, and RunError
-    for an error that stops the run later.
+    computes them again and replaces them. `attrs["notes"]` of the frame has remarks about the
+    input, such as the presets that `filter=all` leaves out. Raises UserError for a mistake in the
+    input, and RunError for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
+    from aoabench.config.fit import left_out_text
     from aoabench.engine import faults, runner
 
     cells = compose_cells(
@@ -75,9 +77,11 @@ def run(
     )
     frame = load(runner.run(cells, progress, fresh).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
-    return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
-        drop=True
-    )
+    rows = [pair in mine for pair in zip(frame["cell"], frame["estimator"])]
+    found = frame[rows].reset_index(drop=True)
+    notes = dict.fromkeys(line for cell in cells for line in cell.notes)
+    found.attrs["notes"] = [*notes, *left_out_text(cells)]
+    return found
 
 
 def locate(

@@ -34,6 +34,11 @@ class ByAll:
         return " ".join(f"{group}={ALL}" for group in LISTS if group in groups)
 
 
+def variant_of(words: str) -> str:
+    """The reason for leaving out a variant, from the words of its preset."""
+    return f"a variant {words}"
+
+
 def expanded(line: str, parsed: Any, config_dir: str | None) -> tuple[str, ByAll]:
     """A line of overrides with the names of presets in place of `all`, and what it stands for;
     `parsed` is the line as Hydra reads it.
@@ -52,7 +57,7 @@ def expanded(line: str, parsed: Any, config_dir: str | None) -> tuple[str, ByAll
     variant = variants(group, config_dir)
     every = [name for name in known if name not in variant and name not in named]
     head = line.partition("=")[0]
-    left_out = {f"{group}.{n}": f"a variant {words}" for n, words in variant.items()}
+    left_out = {f"{group}.{n}": variant_of(words) for n, words in variant.items()}
     left_out = {key: why for key, why in left_out.items() if key.partition(".")[2] not in named}
     chosen = frozenset(f"{group}.{name}" for name in every)
     return f"{head}=[{','.join([*every, *named])}]", ByAll(chosen, left_out)

@@ -89,7 +89,8 @@ def _columns(metric: Metric, rows: pd.DataFrame, digits: int) -> Iterator[_Colum
     numbers = [value for value, _ in parts]
     yield _Column(_format(numbers), [number or _NONE for number in numbers])
     if metric.low or metric.se:
-        yield _Column("@{\\;}l", [error.replace("±", r"$\pm$") for _, error in parts])
+        marks = [error.replace("±", r"$\pm$").replace("inf", r"$\infty$") for _, error in parts]
+        yield _Column("@{\\;}l", marks)
 
 
 def _format(numbers: Sequence[str]) -> str:
