@@ -15,7 +15,7 @@ from aoabench.config.build import Builder
 from aoabench.config.composer import Composed, Composer
 from aoabench.config.guard import refuse_hydra, refuse_unreadable
 from aoabench.config.job import Job
-from aoabench.config.messages import explain, explained
+from aoabench.config.messages import NotComposed, explain, explained
 from aoabench.config.nodes import hydra_initialised, resolved, with_defaults
 from aoabench.config.overrides import Setting, jobs, read
 from aoabench.config.plugins import Speller, parse_plugins
@@ -109,7 +109,10 @@ def _checked(words: Sequence[str], sweep: bool) -> list[Setting]:
 
 def _own_sweep(settings: Sequence[Setting], composer: Composer) -> list[Setting]:
     """The sweep defined by the chosen experiment. Call this where Hydra is initialised."""
-    params = composer.sweep([s.line for s in settings if not s.is_sweep])
+    try:
+        params = composer.sweep([s.line for s in settings if not s.is_sweep])
+    except NotComposed:
+        return []  # the jobs report it, with their other mistakes
     own = read(f"{key}={value}" for key, value in params.items())
     for setting in own:
         refuse_hydra(setting)

@@ -140,7 +140,7 @@ class Job:
         names = tuple(f"{group}:{','.join(map(str, nodes))}" for group, nodes in given.items())
         if names not in self.presets:
             whole = with_defaults(self._of_presets(given, job), self.speller)
-            self.presets[names] = dict(flatten({group: whole[group] for group in given}))
+            self.presets[names] = dict(flatten({group: whole.get(group) or {} for group in given}))
         return self.presets[names]
 
     def _of_presets(
