@@ -128,7 +128,7 @@ def test_the_digest_knows_the_module_its_imports_and_the_outcomes(tmp_path, monk
 def test_kernels_import_nothing_of_ours_but_kernels_maths_and_types():
     """The digest covers no other file."""
     for file in Path(cache.__file__).parent.glob("*.py"):
-        if file.stem in ("loading", "helpers"):  # they hold no code that is compiled
+        if file.stem in ("cache", "loading", "helpers"):  # they hold no code that is compiled
             continue
         for node in ast.walk(ast.parse(file.read_text())):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
