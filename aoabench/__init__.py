@@ -2,8 +2,8 @@
 positioning.
 
 `run` simulates, `load` reads the tables of a run, `compare` compares its estimators, `plot` draws
-them, `locate` gives the positions of the tags in a recording. Everything else is imported from its
-module.
+them, `export` gives their table for a paper, `locate` gives the positions of the tags in a
+recording. Everything else is imported from its module.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from aoabench import loaded  # noqa: F401 - first: it records the modules below
 from aoabench.errors import RunError, UserError
@@ -38,6 +38,7 @@ __all__ = [
     "Scenario",
     "UserError",
     "compare",
+    "export",
     "load",
     "locate",
     "plot",
@@ -166,6 +167,29 @@ def plot(
         return drawing.plot(source, kind, metric, by, over, where, baseline)
     with explained(Path(source)):
         return drawing.plot(_literal(source), kind, metric, by, over, where, baseline)
+
+
+def export(
+    run: str | os.PathLike[str],
+    form: str = "latex",
+    metrics: Sequence[str] = (),
+    by: str | None = None,
+    digits: int = 2,
+) -> Any:
+    """Return the summary of the run in folder `run`, a row for each cell and estimator, as
+    `aoabench export` writes it: a text for the forms latex, markdown and csv, a dict for json, and
+    an xarray.Dataset for xarray.
+
+    `metrics`, `by` and `digits` are those of the command; see `report.export.export`. Raises
+    UserError for a mistake in the input.
+    """
+    from aoabench.engine.faults import explained
+    from aoabench.errors import check_choice
+    from aoabench.report import export as export_module
+
+    check_choice("form", form, list(export_module.FORMATS))
+    with explained(Path(run)):
+        return export_module.export(Path(_literal(run)), form, metrics, by, digits)
 
 
 def _literal(path: str | os.PathLike[str]) -> str:
