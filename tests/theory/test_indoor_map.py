@@ -16,8 +16,8 @@ from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
 from aoabench.config.plugins import construct
-from aoabench.devices.floor_plan import FloorPlan
-from aoabench.devices.sight import in_sight
+from aoabench.devices.plans.floor_plan import FloorPlan
+from aoabench.devices.plans.sight import in_sight
 from aoabench.errors import UserError
 from aoabench.maths.geometry import in_frames, to_azel
 from aoabench.models.motion import ConstantAcceleration, RandomWalk
