@@ -20,7 +20,7 @@ from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 if TYPE_CHECKING:
     import pandas as pd
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Anchors",
     "Batch",
