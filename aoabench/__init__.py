@@ -1,8 +1,9 @@
 """aoabench: the Monte Carlo simulation-and-benchmark framework for angle-of-arrival (AoA)
 positioning.
 
-`run` simulates, `load` reads the tables of a run, `compare` compares its estimators, `locate` gives
-the positions of the tags in a recording. Everything else is imported from its module.
+`run` simulates, `load` reads the tables of a run, `compare` compares its estimators, `plot` draws
+them, `locate` gives the positions of the tags in a recording. Everything else is imported from its
+module.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 __version__ = "0.2.0"
 __all__ = [
@@ -38,6 +40,7 @@ __all__ = [
     "compare",
     "load",
     "locate",
+    "plot",
     "run",
 ]
 
@@ -143,6 +146,40 @@ def compare(
 
     with explained(Path(run)):
         return compare_module.compare(_literal(run), baseline, metric)
+
+
+def plot(
+    source: str | os.PathLike[str] | pd.DataFrame,
+    kind: str | None = None,
+    metric: str | None = None,
+    by: str | None = None,
+    over: str | Sequence[str] = (),
+    where: str | Sequence[str] = (),
+    baseline: str | None = None,
+) -> Figure:
+    """Return a figure of the run in the folder `source`, or of a frame of `load` or `run`.
+
+    `kind`: cdf, box, violin, curve, heatmap, time or pairs; None: a curve if one parameter with
+    numbers was swept, a heat map if several were, else a cdf. `metric`: a column of the
+    replications (rmse_3d_m ...), of the summary (cep50_m ...), or the error of each fix
+    (error_3d_m, error_xy_m, error_z_m). `by`: the column with a colour for each value (default
+    estimator). `over`: the swept parameters of the axes of a curve (one) or heat map (two); others
+    have a panel for each value. `where`: conditions "KEY=VALUE[,VALUE]". `baseline`: the estimator
+    with which pairs are compared (default: the one with the smallest mean).
+
+    From a frame alone all intervals are over replications, and the errors of fixes and the steps
+    are unknown. The figure is not pyplot's: save it with `figure.savefig`, or let a notebook show
+    it. Raises UserError for a wish that does not fit the run, and RunError for torn tables.
+    """
+    import pandas as pd
+
+    from aoabench.engine.faults import explained
+    from aoabench.report.runs import drawing
+
+    if isinstance(source, pd.DataFrame):
+        return drawing.plot(source, kind, metric, by, over, where, baseline)
+    with explained(Path(source)):
+        return drawing.plot(_literal(source), kind, metric, by, over, where, baseline)
 
 
 def __dir__() -> list[str]:

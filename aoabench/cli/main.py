@@ -26,6 +26,7 @@ from aoabench.cli.common import QUIET
 from aoabench.cli.compare import compare
 from aoabench.cli.list import list_presets
 from aoabench.cli.locate import locate
+from aoabench.cli.plot import plot
 from aoabench.cli.replay import replay
 from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
@@ -89,7 +90,8 @@ def help_(ctx: click.Context, command: str | None) -> None:
     dispatch([command, "--help"] if command else ["--help"])
 
 
-for _command in (run, locate, list_presets, compare, collect, replay, reproduce, report, help_):
+_COMMANDS = (run, locate, list_presets, compare, plot, collect, replay, reproduce, report, help_)
+for _command in _COMMANDS:
     cli.add_command(_command)
 
 

@@ -1,4 +1,4 @@
-"""What a key covers: each line of docs/keys.md, as a program or a plug-in that differs in one thing.
+"""What a key covers: each line of docs/explanation/keys.md, as a program or a plug-in that differs in one thing.
 
 `STALE` cases differ in something that decides the numbers: the second run must not reuse the first
 one's. `SAME` cases differ in nothing that does: it must.
