@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Anchors",
     "Batch",
@@ -55,14 +55,24 @@ def run(
     progress: bool = False,
     fresh: bool = False,
 ) -> pd.DataFrame:
-    """Run one cell, or a sweep if an override holds commas, and return its tidy frame (see `load`).
+    """Run one cell, or a sweep if an override holds commas, and return its tidy frame.
 
-    Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]",
-    "noise.sigma_deg=2,5", "reps=200")`. `estimators` adds objects of your own by name: callables
-    (batch, scenario, streams) -> Estimates, which get the same draws as the presets. `out` is the
-    folder of the tables (runner.out); results that are stored there are reused, unless `fresh`
-    computes them again and replaces them. Raises UserError for a mistake in the input, and RunError
-    for an error that stops the run later.
+    Overrides are those of the command line: groups (`scenario`, `noise`, `filter`, `estimator`,
+    `experiment`, `runner`; `aoabench list` shows their presets, `aoabench list NAME` the parameters
+    of one), parameters of what they choose, and `reps`, `seed`:
+
+        aoabench.run("scenario=square_track", "noise=vmf", "noise.sigma_deg=2,5",
+                     "filter=[ekf_vmf,ukf_vmf]", "filter.ekf_vmf.extent_factor=20", "reps=200")
+
+    estimators: objects of your own by name, `Estimator`s or other callables (batch, scenario,
+    streams) -> Estimates; they get the same draws as the presets. out: the folder of the tables
+    (runner.out); results that are stored there are reused, unless `fresh` computes them again and
+    replaces them. config_dir: a folder with presets of your own; plugins: packages that its presets
+    may name. progress: print what the run does, and a bar, on standard error.
+
+    The frame has a row per cell, estimator and replication, the columns of replications.parquet and
+    one per swept parameter; see `load` for its `attrs`. Raises UserError for a mistake in the
+    input, and RunError for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
     from aoabench.engine import faults, runner
@@ -94,9 +104,11 @@ def locate(
 ) -> pd.DataFrame:
     """Return the fixes of all tags in a device's log, a row for each fix of each tag.
 
-    The arguments are those of `aoabench locate`: `locate("capture.log", "anchors.csv",
-    "scenario.window_s=0.1", filter="ekf_vmf")`; see `deployment.fixes.COLUMNS` for the columns.
-    Raises UserError for a mistake in the input.
+    The arguments are those of `aoabench locate`. log, anchors: the files; settings: overrides of
+    the reader such as "scenario.window_s=0.1"; format: the log's, None: recognised; estimator or
+    filter: the method, None for both: robust_ml; truth: a file of true positions; max_sigma_m:
+    reject fixes whose ellipse has a larger half-axis in m. See `deployment.fixes.COLUMNS` for the
+    columns. Raises UserError for a mistake in the input.
     """
     from aoabench.deployment import located
     from aoabench.deployment.request import Request
@@ -124,9 +136,11 @@ def compare(
 ) -> pd.DataFrame:
     """Paired comparison of the estimators of the run in folder `run`, a row per cell and estimator.
 
-    Each row holds the change against `baseline` (None: the estimator with the smallest mean in each
-    cell) with its interval, the p-value by Holm's method over the table, and a summary line. See
-    `store.compare.compare` for the columns.
+    Each row holds the change of the mean of `metric`, a column of numbers of replications.parquet
+    or failure_rate, against `baseline` (None: the estimator with the smallest mean in each cell)
+    with its interval, the p-value by Holm's method over the table, and a summary line. See
+    `store.compare.compare` for the columns. Raises UserError for a run, metric or baseline that
+    does not exist.
     """
     from aoabench.engine.faults import explained
     from aoabench.store import compare as compare_module
@@ -190,6 +204,11 @@ def export(
     check_choice("form", form, list(export_module.FORMATS))
     with explained(Path(run)):
         return export_module.export(Path(_literal(run)), form, metrics, by, digits)
+
+
+def __dir__() -> list[str]:
+    """The public names, without the modules that they come from."""
+    return sorted([*__all__, "__version__"])
 
 
 def _literal(path: str | os.PathLike[str]) -> str:

@@ -46,4 +46,6 @@ def test_what_is_no_array_is_shown_as_it_is():
         "  iterations  'many'",
         "  outcome     (1, 2), 1 ok, 1 9",
     ]
-    assert "outcome     (0, 3)" in repr(Estimates(np.empty((0, 3, 3)), None, np.empty(0), np.empty((0, 3))))
+    assert "outcome     (0, 3)" in repr(
+        Estimates(np.empty((0, 3, 3)), None, np.empty(0), np.empty((0, 3)))
+    )

@@ -277,9 +277,10 @@ def test_a_folder_that_is_gone_where_its_new_place_is_not_known(cells, tmp_path,
     monkeypatch.setattr("aoabench.store.lock._place", lambda opened: None)
     out = tmp_path / "out"
     out.mkdir()
-    with pytest.raises(RunError) as told, locked(out, unused) as lock:
+    with locked(out, unused) as lock:
         moved(out)
-        lock.check()
+        with pytest.raises(RunError) as told:
+            lock.check()
     assert str(told.value) == (
         f"{out} was moved, deleted or replaced by another folder during the run; "
         "move it back, or run the same command again"
