@@ -15,12 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 from aoabench import loaded  # noqa: F401 - first: it records the modules below
 from aoabench.errors import RunError, UserError
+from aoabench.params import param
 from aoabench.roles import Estimator, Filter, Measurement, Motion, Noise, Scenario
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+    from aoabench.filters.gaussian import Gaussian
+    from aoabench.filters.recursion import KalmanFilter
 
 __version__ = "0.2.0"
 __all__ = [
@@ -29,6 +33,8 @@ __all__ = [
     "Estimates",
     "Estimator",
     "Filter",
+    "Gaussian",
+    "KalmanFilter",
     "Measurement",
     "Measurements",
     "Motion",
@@ -41,9 +47,19 @@ __all__ = [
     "export",
     "load",
     "locate",
+    "param",
     "plot",
     "run",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """The base class of Kalman filters and its distributions, whose modules load SciPy."""
+    if name not in ("Gaussian", "KalmanFilter"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from aoabench.filters import gaussian, recursion
+
+    return {"Gaussian": gaussian.Gaussian, "KalmanFilter": recursion.KalmanFilter}[name]
 
 
 def run(
