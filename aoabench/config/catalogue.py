@@ -156,7 +156,11 @@ def _that_fit(
     """Group and name of each estimator of a config that fits."""
     for group in LISTS:
         for name, node in plain[group].items():
-            if _fits(as_estimator(construct(node, name), name), scenario, noise):
+            try:
+                estimator = as_estimator(construct(node, name), name)
+            except UserError:  # its model of the measurements takes other noises
+                continue
+            if _fits(estimator, scenario, noise):
                 yield group, name
 
 
