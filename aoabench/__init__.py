@@ -2,8 +2,8 @@
 positioning.
 
 `run` simulates, `load` reads the tables of a run, `compare` compares its estimators, `plot` draws
-them, `locate` gives the positions of the tags in a recording. Everything else is imported from its
-module.
+them, `export` gives their table for a paper, `locate` gives the positions of the tags in a
+recording. Everything else is imported from its module.
 """
 
 from __future__ import annotations
@@ -11,16 +11,20 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from aoabench import loaded  # noqa: F401 - first: it records the modules below
 from aoabench.errors import RunError, UserError
+from aoabench.params import param
 from aoabench.roles import Estimator, Filter, Measurement, Motion, Noise, Scenario
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+    from aoabench.filters.gaussian import Gaussian
+    from aoabench.filters.recursion import KalmanFilter
 
 __version__ = "0.2.0"
 __all__ = [
@@ -29,6 +33,8 @@ __all__ = [
     "Estimates",
     "Estimator",
     "Filter",
+    "Gaussian",
+    "KalmanFilter",
     "Measurement",
     "Measurements",
     "Motion",
@@ -38,11 +44,22 @@ __all__ = [
     "Scenario",
     "UserError",
     "compare",
+    "export",
     "load",
     "locate",
+    "param",
     "plot",
     "run",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """The base class of Kalman filters and its distributions, whose modules load SciPy."""
+    if name not in ("Gaussian", "KalmanFilter"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from aoabench.filters import gaussian, recursion
+
+    return {"Gaussian": gaussian.Gaussian, "KalmanFilter": recursion.KalmanFilter}[name]
 
 
 def run(
@@ -189,6 +206,29 @@ def plot(
         return drawing.plot(source, kind, metric, by, over, where, baseline)
     with explained(Path(source)):
         return drawing.plot(_literal(source), kind, metric, by, over, where, baseline)
+
+
+def export(
+    run: str | os.PathLike[str],
+    form: str = "latex",
+    metrics: Sequence[str] = (),
+    by: str | None = None,
+    digits: int = 2,
+) -> Any:
+    """Return the summary of the run in folder `run`, a row for each cell and estimator, as
+    `aoabench export` writes it: a text for the forms latex, markdown and csv, a dict for json, and
+    an xarray.Dataset for xarray.
+
+    `metrics`, `by` and `digits` are those of the command; see `report.export.export`. Raises
+    UserError for a mistake in the input.
+    """
+    from aoabench.engine.faults import explained
+    from aoabench.errors import check_choice
+    from aoabench.report import export as export_module
+
+    check_choice("form", form, list(export_module.FORMATS))
+    with explained(Path(run)):
+        return export_module.export(Path(_literal(run)), form, metrics, by, digits)
 
 
 def __dir__() -> list[str]:

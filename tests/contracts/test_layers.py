@@ -35,6 +35,9 @@ WINGS = [
 ]
 RANK = {room: rank for rank, rooms in enumerate(WINGS) for room in rooms}
 
+# the same within `aoabench/devices`
+DEVICES = [("plans", "tracks"), ("anchors", "longtable"), ("locators", "geodesy"), ("readers",)]
+
 # what a file imports by a name that is only known when it runs, and how many such calls it has
 DYNAMIC = {
     "aoabench/config/plugins.py": (2, ("scenarios", "noise", "models", "filters", "estimators")),
@@ -102,6 +105,16 @@ def test_imports_go_downward(file):
             assert RANK[room] > RANK[mine], f"{file.relative_to(ROOT)} imports {room}"
     for room in dynamic:
         assert RANK[room] > RANK[mine] or room == mine
+
+
+def test_imports_within_devices_go_downward():
+    rank = {place: rank for rank, places in enumerate(DEVICES) for place in places}
+    inside = {tuple(m.split(".")[2:]): f for m, f in MODULES.items() if room_of(m) == "devices"}
+    assert {place for place, *_ in filter(None, inside)} == set(rank)
+    for (mine, *_), file in ((place, file) for place, file in inside.items() if place):
+        for name in imported(file):
+            if room_of(name) == "devices" and (other := name.split(".")[2]) != mine:
+                assert rank[other] > rank[mine], f"{file.relative_to(ROOT)} imports {other}"
 
 
 def test_no_file_imports_itself_by_a_detour():

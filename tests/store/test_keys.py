@@ -674,7 +674,7 @@ DOMAIN = [
             "kernels/*",
             "maths/*",
         ),
-        *("devices/*", "roles*", "types*", "streams*", "engine/block*", "engine/tiles*"),
+        *("devices/**/*", "roles*", "types*", "streams*", "engine/block*", "engine/tiles*"),
         *("engine/metrics*", "engine/inputs*"),
     )
     for file in sorted(PACKAGE.glob(f"{pattern}.py"))
