@@ -51,7 +51,7 @@ FILES = sorted(
     for folder in ("aoabench", "experiments", "benchmarks")
     for file in (ROOT / folder).rglob("*.py")
 )
-NAMES = [str(file.relative_to(ROOT)) for file in FILES]
+NAMES = [file.relative_to(ROOT).as_posix() for file in FILES]
 
 
 def tree_of(file):
@@ -99,7 +99,7 @@ def test_every_room_has_a_place_and_there_are_not_too_many():
 @pytest.mark.parametrize("file", FILES, ids=NAMES)
 def test_imports_go_downward(file):
     mine = room_of(module_of(file))
-    dynamic = DYNAMIC.get(str(file.relative_to(ROOT)), (0, ()))[1]
+    dynamic = DYNAMIC.get(file.relative_to(ROOT).as_posix(), (0, ()))[1]
     for room in (*filter(None, map(room_of, imported(file))), *dynamic):
         if room != mine and not (mine == "config" and room in dynamic):
             assert RANK[room] > RANK[mine], f"{file.relative_to(ROOT)} imports {room}"

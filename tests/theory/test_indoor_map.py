@@ -404,7 +404,7 @@ def test_own_files_come_first_and_any_path_will_do(here):
 
 
 @pytest.mark.parametrize(("text", "says"), [
-    (None, "existing file; shipped: indoor_map.geojson, indoor_map_anchors.csv"),
+    (None, "existing file; shipped: indoor_map.geojson, indoor_map_anchors.csv, track.csv"),
     ("", "line 1 is empty"),
     ("x_m,z_m\n1,2\n", "columns x_m, y_m and, where needed, id (else 1, 2, ...), z_m, facing_deg, pitch_deg, roll_deg"),
     ("x_m,x_m,y_m,z_m,facing_deg\n1,1,2,3,4\n", "each once"),

@@ -149,14 +149,17 @@ def _interpolated(time: Array, known: Array, position: Array, gap_s: float) -> A
     return found
 
 
-def read_truth(key: str, path: str, time_unit: str, anchors: AnchorsFile) -> Truth:
+def read_truth(
+    key: str, path: str, time_unit: str, anchors: AnchorsFile, timed: bool = True
+) -> Truth:
     """Return the true positions of a file; raises BadValue for one that is not as in the schema.
 
+    With `timed` false, a file may lack times and names: its positions are in the order of its rows.
     Latitudes and longitudes are converted to local coordinates at the origin of `anchors`.
     """
     present = header(key, path)
     degrees = degree_columns(present)
-    names, scale = _recognised(key, path, present, degrees)
+    names, scale = _recognised(key, path, present, degrees, timed)
     table = Table.read(key, path, names)
     position = np.stack([
         scale[axis] * table.numbers(axis) if axis in names else np.full(len(table.frame), np.nan)
@@ -175,7 +178,10 @@ def read_truth(key: str, path: str, time_unit: str, anchors: AnchorsFile) -> Tru
         if "tag" in names
         else None
     )
-    which = next((one for one in ("start", "time", "fix", "sequence") if one in names), "time")
+    kinds = ("start", "time", "fix", "sequence") if timed else ("start", "time")
+    which = next((one for one in kinds if one in names), "")
+    if not which:
+        return Truth(position, tag, None, None, None, table)
     if which in ("fix", "sequence"):
         code, texts = table.texts(which)
         return Truth(position, tag, None, None, np.array(texts, dtype=object)[code], table)
@@ -213,7 +219,11 @@ def _local(key: str, path: str, degrees: Array, origin: Origin | None) -> Array:
 
 
 def _recognised(
-    key: str, path: str, present: Sequence[str], degrees: tuple[str, str, str | None] | None
+    key: str,
+    path: str,
+    present: Sequence[str],
+    degrees: tuple[str, str, str | None] | None,
+    timed: bool,
 ) -> tuple[dict[str, str], dict[str, float]]:
     """The file's names of the columns to read, and the axes' units in m."""
     names: dict[str, str] = {}
@@ -231,8 +241,8 @@ def _recognised(
         if fits:
             names[ours] = fits[0]
             scale[ours] = METRES.get(_split(fits[0], units)[1], 1.0)
-    timed = any(one in names for one in ("time", "start", "fix", "sequence"))
-    if "x" not in names or "y" not in names or not timed:
+    known = any(one in names for one in ("time", "start", "fix", "sequence"))
+    if "x" not in names or "y" not in names or (timed and not known):
         lacks = "x_m" if "x" not in names else "y_m" if "y" not in names else "time_s"
         raise BadValue(
             key, path, f"{SCHEMA}; it has {shown_columns(present)}{did_you_mean(lacks, present)}"

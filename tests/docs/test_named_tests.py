@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
-    page for page in (ROOT / "docs").glob("*.md") if "`test_" in page.read_text(encoding="utf-8")
+    page for page in (ROOT / "docs").rglob("*.md") if "`test_" in page.read_text(encoding="utf-8")
 )
 
 

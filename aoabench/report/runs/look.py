@@ -1,0 +1,178 @@
+"""Panels, colours, legends, axes and the footer of the figures of a run."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aoabench.errors import UserError
+from aoabench.report import plots
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+MOST_PANELS = 12
+MOST_GROUPS = 40
+_STYLES = ("-", "--", "-.", ":")
+_MARKERS = "osD^vPX<>*"
+_FEW = 6  # groups whose legend lies above the panels; that of more lies beside them
+_LETTERS = 20  # of the footer in an inch
+HEAVY = 10.0  # largest 95 % quantile over smallest median, beyond which an axis is logarithmic
+
+
+@dataclass(frozen=True)
+class Words:
+    """The texts of a figure: axis labels `x` and `y`, `by` (the title of the legend) and the
+    sentences of the footer.
+    """
+
+    x: str
+    y: str
+    by: str = ""
+    footer: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A figure with a panel for each title, in order."""
+
+    figure: Figure
+    axes: dict[str, Any]
+    groups: list[str]
+
+    def style(self, group: str) -> dict[str, Any]:
+        """Colour, line style and marker of a group; neighbours differ in all three, for prints in
+        grey.
+        """
+        i = self.groups.index(group)
+        return {
+            "color": f"C{i % 7}",
+            "linestyle": _STYLES[i % len(_STYLES)],
+            "marker": _MARKERS[i % len(_MARKERS)],
+        }
+
+
+def check_size(panels: int, groups: int, names: Sequence[str], by: str) -> None:
+    """Raise UserError for more panels or colours than a reader can tell apart."""
+    for count, most, word, which in (
+        (panels, MOST_PANELS, "panels", ", ".join(names)),
+        (groups, MOST_GROUPS, "colours", by),
+    ):
+        if count > most:
+            raise UserError(
+                f"{count} {word} for the values of {which}: at most {most} are drawn; choose some "
+                "values with --where KEY=VALUE[,VALUE]"
+            )
+
+
+def sheet(
+    frame: pd.DataFrame, words: Words, height: float | None = None, groups: bool = True
+) -> Sheet:
+    """An empty figure with a panel for each title in the frame's `panel`, in the order of
+    appearance; `height` of a panel in inches.
+    """
+    titles = list(dict.fromkeys(frame["panel"]))
+    names = list(dict.fromkeys(frame["group"])) if groups else []
+    cols = 2 if len(titles) in (2, 4) else min(len(titles), 3)
+    rows = math.ceil(len(titles) / cols)
+    beside = 1.7 * math.ceil(len(names) / 30) if len(names) > _FEW else 0.0
+    width = (plots.PAGE if cols > 1 else 1.5 * plots.COLUMN) + beside
+    high = height or (2.9 if cols == 1 else 2.2)
+    footer = _footer(words, width)
+    above = 0.0 if beside or not names else 0.3 + 0.17 * math.ceil(len(names) / 2)
+    total = rows * (high + 0.25) + above + 0.12 * len(footer) + 0.3
+    figure, axes = plots.new(
+        width, total, rows, cols, squeeze=False, sharex=True, sharey=True
+    )
+    for axis in axes.ravel()[len(titles) :]:
+        axis.set_visible(False)
+    for i, (axis, title) in enumerate(zip(axes.ravel(), titles)):
+        axis.set_title("\n".join(textwrap.wrap(title, 34 if cols > 1 else 60)), loc="left")
+        last = i + cols >= len(titles)
+        axis.tick_params(labelbottom=last)
+        axis.set_xlabel(words.x if last else "")
+        axis.set_ylabel(words.y if i % cols == 0 else "")
+    figure.supxlabel("\n".join(footer), x=0.01, ha="left", fontsize=6, color=plots.GREY)
+    return Sheet(figure, dict(zip(titles, axes.ravel())), names)
+
+
+def _footer(words: Words, width: float) -> list[str]:
+    return [line for text in words.footer for line in textwrap.wrap(text, int(_LETTERS * width))]
+
+
+def legend(made: Sheet, by: str) -> None:
+    """The legend of all groups: above the panels, or beside them if there are many."""
+    found = {
+        label: handle
+        for axis in made.axes.values()
+        for handle, label in zip(*axis.get_legend_handles_labels())
+    }
+    if not found:
+        return
+    many = len(made.groups) > _FEW
+    place = "outside right upper" if many else "outside upper left"
+    cols = math.ceil(len(found) / 30) if many else min(len(found), 2)
+    made.figure.legend(
+        found.values(), found.keys(), loc=place, ncols=cols, title=by, alignment="left"
+    )
+
+
+def scale(axes: Any, which: str, log: bool) -> None:
+    """Make the x or y axis linear, or logarithmic with plain numbers: 0.5, 1, 2, 5, 10."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.set(**{f"{which}scale": "log" if log else "linear"})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    if log:
+        low, high = axis.get_data_interval()
+        short = low > 0 and high < 300 * low
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def is_heavy(quantiles: pd.DataFrame) -> bool:
+    """Whether the axis of a distribution is logarithmic: the largest 95 % quantile exceeds HEAVY
+    times the smallest median, and all medians are positive.
+    """
+    known = quantiles[quantiles["n"] > 0]
+    least = known["q50"].min()
+    return bool(least > 0 and known["q95"].max() > HEAVY * least)
+
+
+def limits(quantiles: pd.DataFrame, log: bool, whole: bool) -> tuple[float, float]:
+    """The ends of the axis of a distribution; with `whole` a logarithmic axis shows each value
+    above 0, a linear one ends at 1.5 times the largest 95 % quantile, or at the largest value.
+    """
+    known = quantiles[quantiles["n"] > 0]
+    top = float(known["maximum"].max())
+    if log:
+        low = known["minimum"][known["minimum"] > 0].min() if whole else known["q05"].min()
+        low = low if low > 0 else known["q50"].min() / 100
+        return 0.8 * float(low), 1.2 * top
+    bottom = min(float(known["minimum"].min()), 0.0)
+    top = min(top, 1.5 * float(known["q95"].max())) if known["q95"].max() > 0 else top
+    return bottom, (1.05 * top or 1.0)
+
+
+def is_even_in_log(values: np.ndarray) -> bool:
+    """Whether the values (K,) of an axis span a factor of 8 and are spaced more evenly by ratio
+    than by difference.
+    """
+    x = np.unique(values[np.isfinite(values)])
+    if len(x) < 3 or x[0] <= 0 or x[-1] < 8 * x[0]:
+        return False
+    spread = [np.std(d) / np.mean(d) for d in (np.diff(x), np.diff(np.log(x)))]
+    return bool(spread[1] < spread[0])
+
+
+def spans_decades(values: np.ndarray) -> bool:
+    """Whether positive values (K,) span more than a factor of 20."""
+    x = values[np.isfinite(values)]
+    return bool(len(x) and x.min() > 0 and x.max() > 20 * x.min())
