@@ -86,7 +86,7 @@ def fitting_presets(
 ) -> list[tuple[str, str]]:
     """Group and name of the filters and estimators that run in a scenario with a noise."""
     chosen = [f"scenario={scenario}", f"noise={noise}"]
-    plain = _composed([*chosen, *_every_estimator(config_dir)], config_dir)
+    plain = composed([*chosen, *_every_estimator(config_dir)], config_dir)
     place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
     errors = as_noise(construct(plain["noise"], "noise"), "noise")
     return list(_that_fit(plain, place, errors))
@@ -94,7 +94,7 @@ def fitting_presets(
 
 def not_in_all(config_dir: str | None = None) -> dict[str, dict[str, str]]:
     """By group and name, the presets that `all` leaves out in every scenario, with the reason."""
-    nodes = _composed(_every_estimator(config_dir), config_dir)
+    nodes = composed(_every_estimator(config_dir), config_dir)
     found: dict[str, dict[str, str]] = {}
     for group in LISTS:
         known = {name: variant_of(words) for name, words in variants(group, config_dir).items()}
@@ -143,16 +143,14 @@ def _shipped_nodes(group: str) -> dict[str, Any]:
     from hydra import compose
 
     with hydra_initialised():
-        composed = {
-            name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)
-        }
-    return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in composed.items()}
+        nodes = {name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)}
+    return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in nodes.items()}
 
 
 @cache
 def _shipped_estimators() -> dict[str, Any]:
     """The resolved config with all shipped filters and estimators."""
-    return _composed(_every_estimator())
+    return composed(_every_estimator())
 
 
 def _every_estimator(config_dir: str | None = None) -> list[str]:
@@ -160,7 +158,7 @@ def _every_estimator(config_dir: str | None = None) -> list[str]:
     return [f"{group}=[{','.join(options(group, config_dir))}]" for group in LISTS]
 
 
-def _composed(overrides: Sequence[str], config_dir: str | None = None) -> dict[str, Any]:
+def composed(overrides: Sequence[str], config_dir: str | None = None) -> dict[str, Any]:
     """The resolved config with these overrides."""
     from hydra import compose
 
