@@ -146,6 +146,15 @@ def key_of(f: Field[Any]) -> str:
     return (known.key if known else "") or f.name
 
 
+def allowed(f: Field[Any]) -> str:
+    """The allowed values of a field made by `param` in words, as in its error message."""
+    try:
+        f.metadata["param"].check(key_of(f), object(), _annotation(f.type))
+    except BadValue as error:
+        return error.allowed
+    return ""
+
+
 class CheckedParams:
     """Check the fields made by `param`.
 

@@ -24,6 +24,7 @@ from aoabench.cli import crash
 from aoabench.cli.collect import collect
 from aoabench.cli.common import QUIET
 from aoabench.cli.compare import compare
+from aoabench.cli.export import export
 from aoabench.cli.list import list_presets
 from aoabench.cli.locate import locate
 from aoabench.cli.plot import plot
@@ -90,7 +91,19 @@ def help_(ctx: click.Context, command: str | None) -> None:
     dispatch([command, "--help"] if command else ["--help"])
 
 
-_COMMANDS = (run, locate, list_presets, compare, plot, collect, replay, reproduce, report, help_)
+_COMMANDS = (
+    run,
+    locate,
+    list_presets,
+    compare,
+    plot,
+    export,
+    collect,
+    replay,
+    reproduce,
+    report,
+    help_,
+)
 for _command in _COMMANDS:
     cli.add_command(_command)
 

@@ -13,17 +13,20 @@ from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError, did_you_mean
-from aoabench.params import key_of
+from aoabench.params import allowed, key_of
 from aoabench.roles import Estimator, Noise, Scenario
 
 
 class Parameter(NamedTuple):
-    """A parameter of a preset: its dotted key, value in the preset, unit and meaning."""
+    """A parameter of a preset: its dotted key, value in the preset, unit, meaning, and the allowed
+    values in words.
+    """
 
     key: str
     value: Any
     unit: str
     help: str
+    allowed: str
 
 
 def group_of(name: str, config_dir: str | None = None) -> str:
@@ -56,8 +59,8 @@ def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
             yield from _walk(value, f"{path}.{key}")
         elif key != "_target_":
             meta = known[key].metadata.get("param") if key in known else None
-            unit, text = (meta.unit, meta.help) if meta else ("", "")
-            yield Parameter(f"{path}.{key}", value, unit, text)
+            about = (meta.unit, meta.help, allowed(known[key])) if meta else ("", "", "")
+            yield Parameter(f"{path}.{key}", value, *about)
 
 
 def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str, list[str]]]:
@@ -153,7 +156,11 @@ def _that_fit(
     """Group and name of each estimator of a config that fits."""
     for group in LISTS:
         for name, node in plain[group].items():
-            if _fits(as_estimator(construct(node, name), name), scenario, noise):
+            try:
+                estimator = as_estimator(construct(node, name), name)
+            except UserError:  # its model of the measurements takes other noises
+                continue
+            if _fits(estimator, scenario, noise):
                 yield group, name
 
 

@@ -1,4 +1,4 @@
-"""docs/locate.md: its examples run, its columns and options are those of the command."""
+"""docs/reference/locate.md: its examples run, its columns and options are those of the command."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from aoabench.cli.locate import locate
 from aoabench.deployment import fixes
 from tests.deployment.conftest import POINTS, log, room, rows_of  # noqa: F401
 
-PAGE = (Path(__file__).parents[2] / "docs/locate.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/reference/locate.md").read_text(encoding="utf-8")
 EXAMPLES = re.search(r"```sh\n(.*?)```", PAGE, re.DOTALL)[1].splitlines()
 
 
