@@ -166,4 +166,3 @@ def _over(source: Source, kind: str, numbers: list[str], free: list[str]) -> tup
 def _metric(kind: str, fixes: bool) -> str:
     errors = kind == "time" or (kind in DISTRIBUTIONS and fixes)
     return ERRORS[0] if errors else "rmse_3d_m"
-

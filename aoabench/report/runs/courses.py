@@ -59,7 +59,9 @@ def pairs(points: pd.DataFrame, rows: pd.DataFrame, words: Words) -> Figure:
         axis = made.axes[row["panel"]]
         mine = points[points["panel"] == row["panel"]]
         many = len(mine) > _MOST_VECTORS
-        axis.scatter(mine["x"], mine["y"], s=6, alpha=0.5, linewidths=0, color="C0", rasterized=many)
+        axis.scatter(
+            mine["x"], mine["y"], s=6, alpha=0.5, linewidths=0, color="C0", rasterized=many
+        )
         look.scale(axis, "x", log)
         look.scale(axis, "y", log)
         axis.set(xlim=ends, ylim=ends, box_aspect=1)

@@ -43,7 +43,11 @@ def about(source: Source, fixes: pd.DataFrame | None = None) -> list[str]:
     parts = [f"N = {_span(counts)} replications{many} of {each}", source.recorded]
     for name in ("scenario", "noise", "seed", "experiment"):
         values = [value_text(value) for value in ordered(frame[name])]
-        if len(values) <= 3 and values != ["null"] and not (name == "noise" and values == ["recorded"]):
+        if (
+            len(values) <= 3
+            and values != ["null"]
+            and not (name == "noise" and values == ["recorded"])
+        ):
             parts.append(f"{name} {', '.join(values)}")
     return ["; ".join(parts) + "."]
 

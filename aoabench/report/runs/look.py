@@ -87,9 +87,7 @@ def sheet(
     footer = _footer(words, width)
     above = 0.0 if beside or not names else 0.3 + 0.17 * math.ceil(len(names) / 2)
     total = rows * (high + 0.25) + above + 0.12 * len(footer) + 0.3
-    figure, axes = plots.new(
-        width, total, rows, cols, squeeze=False, sharex=True, sharey=True
-    )
+    figure, axes = plots.new(width, total, rows, cols, squeeze=False, sharex=True, sharey=True)
     for axis in axes.ravel()[len(titles) :]:
         axis.set_visible(False)
     for i, (axis, title) in enumerate(zip(axes.ravel(), titles)):

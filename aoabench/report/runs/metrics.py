@@ -105,7 +105,9 @@ def _three(
         return count / n, *intervals.rate_interval(count, n)
     shared = row is not None and row["se_by"] == "position"
     if metric in CLUSTERED and shared and source.out is not None:
-        found = means(rows, clusters(source.out, rows["cell"].iloc[0], rows["estimator"].iloc[0]))["iterations_mean"]
+        found = means(rows, clusters(source.out, rows["cell"].iloc[0], rows["estimator"].iloc[0]))[
+            "iterations_mean"
+        ]
     else:
         found = statistics.mean(values)
     low, high = found.interval()

@@ -119,4 +119,3 @@ def _numbers(axis: Any, grid: np.ndarray, ran: np.ndarray, norm: Any) -> None:
         colour = "white" if known and norm(value) < 0.55 else "black"
         text = f"{value:.3g}" if known else "\u2013"
         axis.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
-

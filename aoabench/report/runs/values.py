@@ -233,7 +233,9 @@ def paired(source: Source, choice: Choice) -> tuple[pd.DataFrame, pd.DataFrame]:
         points.append(pd.DataFrame({"panel": panel, "replication": both.index, "x": x, "y": y}))
         counts = {"n": len(x), "of": len(wide), "smaller": int((y < x).sum())}
         counts["equal"] = int((y == x).sum())
-        rows.append({"panel": panel, "estimator": one.estimator, "baseline": base, **counts, **pair})
+        rows.append(
+            {"panel": panel, "estimator": one.estimator, "baseline": base, **counts, **pair}
+        )
     if not any(map(len, points)):
         raise no_values(source, choice.metric)
     return pd.concat(points, ignore_index=True), pd.DataFrame(rows)
