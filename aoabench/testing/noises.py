@@ -34,8 +34,13 @@ def check_noise(
     rules that cannot hold to the reason. Raises UserError for an unknown rule.
     """
     adopted = as_noise(noise, "noise")
-    place = scenario or shipped("square_track_upright", "vmf")[0]
-    return confirmed(type(noise).__name__, examined(RULES, Sampling(adopted, place), skip or {}))
+    sampling = Sampling(adopted, scenario or usual_scenario())
+    return confirmed(type(noise).__name__, examined(RULES, sampling, skip or {}))
+
+
+def usual_scenario() -> Scenario:
+    """The scenario in which a noise is tried unless another is given."""
+    return shipped("square_track_upright", "vmf")[0]
 
 
 @dataclass(frozen=True)
