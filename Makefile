@@ -96,8 +96,18 @@ $(VENV)/.bench: $(READY)
 
 notebooks: $(READY)
 	@mkdir -p results/draft/notebooks
-	@for f in results/notebooks/*.ipynb; do $(BIN)/jupyter execute "$$f" --timeout=60 \
+	@for f in results/notebooks/*.ipynb; do $(BIN)/jupyter execute "$$f" --timeout=300 \
 		--output="$(if $(filter 1,$(COMMIT)),$(CURDIR)/$$f,$(CURDIR)/results/draft/notebooks/$$(basename "$$f"))" || exit 1; done
+	@$(if $(filter 1,$(COMMIT)),$(BIN)/python -c "$$FIRST_PICTURE")
+
+# the picture of `explore` in the gallery: its first figure
+define FIRST_PICTURE
+import base64, json, pathlib
+cells = json.loads(pathlib.Path("results/notebooks/explore.ipynb").read_text(encoding="utf-8"))["cells"]
+found = (o["data"]["image/png"] for c in cells for o in c.get("outputs", ()) if "image/png" in o.get("data", ()))
+pathlib.Path("results/notebooks/explore.png").write_bytes(base64.b64decode(next(found)))
+endef
+export FIRST_PICTURE
 
 # $(call resolve,input,options,output)
 resolve = uv pip compile $(1) --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \

@@ -103,9 +103,10 @@ def run(
     )
     frame = load(runner.run(cells, progress, fresh).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
-    return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
-        drop=True
-    )
+    kept = [pair in mine for pair in zip(frame["cell"], frame["estimator"])]
+    frame = frame[kept].reset_index(drop=True)
+    frame.attrs["cells"] = frame["cell"].unique().tolist()
+    return frame
 
 
 def locate(
@@ -139,12 +140,20 @@ def locate(
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """Return the table of the run in folder `out`: one row per cell x estimator x replication, and
     one column per swept parameter.
+
+    Its `attrs` hold the `folder`, the ids of the `cells` and the `units` of the columns that have
+    one. Raises UserError for a folder without a run, and RunError if its tables are torn.
     """
+    from aoabench.columns import unit_of
     from aoabench.engine.faults import explained
     from aoabench.store import tables
 
     with explained(Path(out)):
-        return tables.load(_literal(out))
+        frame = tables.load(_literal(out))
+    units = {name: unit for name in frame if (unit := unit_of(name))}
+    cells = frame["cell"].unique().tolist()
+    frame.attrs = {"folder": os.fspath(out), "cells": cells, "units": units}
+    return frame
 
 
 def compare(
