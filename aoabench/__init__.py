@@ -216,9 +216,9 @@ def export(
     digits: int = 2,
 ) -> Any:
     """Return the summary of the run in folder `run`, a row for each cell and estimator, as
-    `aoabench export` writes it: a text for the forms latex, markdown and csv, a dict for json, and
-    an xarray.Dataset for xarray.
+    `aoabench export` writes it.
 
+    `form`: latex, markdown or csv for a text, json for a dict, xarray for an xarray.Dataset.
     `metrics`, `by` and `digits` are those of the command; see `report.export.export`. Raises
     UserError for a mistake in the input.
     """

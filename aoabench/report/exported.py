@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench.columns import IDENTITY, SUMMARY, TIMING
+from aoabench.columns import IDENTITY, SUMMARY, TIMING, unit_of
 from aoabench.errors import UserError, did_you_mean
-from aoabench.report.text import interval_parts, metric_title, number_text, unit_of
+from aoabench.report.text import interval_parts, metric_title, number_text
 from aoabench.store import tables
 
 if TYPE_CHECKING:
