@@ -99,9 +99,12 @@ pathlib.Path("results/notebooks/explore.png").write_bytes(base64.b64decode(next(
 endef
 export FIRST_PICTURE
 
+LOCK = uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
+	--no-header --no-annotate
+
 lock:
-	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
-		--no-emit-index-url --no-emit-find-links --no-header --no-annotate -o requirements.lock
+	$(LOCK) --extra dev -o requirements.lock
+	$(LOCK) $(addprefix --extra ,test xlsx geo dxf dask xarray) --resolution lowest-direct -o .ci/lowest.lock
 
 clean:
 	rm -rf $(VENV) results/raw results/quick results/draft .pytest_cache .mypy_cache .ruff_cache
