@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from aoabench.cli.common import Command, echo, json_option, print_json
+from aoabench.cli.common import Command, echo, json_option, print_json, wrapped
 from aoabench.config.presets import GROUPS, options
 from aoabench.errors import UserError
 
@@ -81,7 +81,7 @@ def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> N
     for group, presets in found.items():
         echo(f"{group}:" if presets else f"{group}: (none yet)")
         for preset, text in presets.items():
-            echo(f"  {preset:24s} {text}")
+            echo(wrapped(f"  {preset:24s} {text}", 27))
 
 
 def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
@@ -98,7 +98,7 @@ def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
         for name, noises in names.items():
             why = without[group].get(name, "")
             rest = f"    (not in {group}=all: {why})" if why else ""
-            echo(f"  {name:24s} noise={','.join(noises)}{rest}")
+            echo(wrapped(f"  {name:24s} noise={','.join(noises)}{rest}", 27))
 
 
 def _print_key(key: str, config_dir: str | None, as_json: bool) -> None:
@@ -136,7 +136,7 @@ def _print_preset(name: str, config_dir: str | None, as_json: bool) -> None:
     }
     for head, text in lines.items():
         if text:
-            echo(f"  {head}: {text}")
+            echo(wrapped(f"  {head}: {text}", 4))
     for one in found.parameters:
         _print_parameter(one)
 
@@ -147,4 +147,4 @@ def _print_parameter(one: Parameter) -> None:
     short = value if len(value) <= 24 else f"{value[:20]} ..."
     text = f"{one.help} [{one.unit}]" if one.unit else one.help
     limits = f"; {one.allowed}" if one.allowed else ""
-    echo(f"  {one.key:44s} {short:26s} {text}{limits}")
+    echo(wrapped(f"  {one.key:44s} {short:26s} {text}{limits}", 6))

@@ -27,11 +27,13 @@ from aoabench.cli.compare import compare
 from aoabench.cli.export import export
 from aoabench.cli.list import list_presets
 from aoabench.cli.locate import locate
+from aoabench.cli.new import new
 from aoabench.cli.plot import plot
 from aoabench.cli.replay import replay
 from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
+from aoabench.cli.test import test
 from aoabench.config.presets import GROUPS
 from aoabench.engine.faults import KEPT, explained
 from aoabench.errors import ManyErrors, RunError, UserError, did_you_mean, printable, shorten
@@ -102,6 +104,8 @@ _COMMANDS = (
     replay,
     reproduce,
     report,
+    new,
+    test,
     help_,
 )
 for _command in _COMMANDS:

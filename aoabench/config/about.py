@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,51 +15,61 @@ from aoabench.config.catalogue import Parameter, composed, group_of, parameters
 from aoabench.config.every import SMOOTHER, variant_of
 from aoabench.config.plugins import construct, resolve
 from aoabench.config.presets import GROUPS, LISTS, options, variants
-from aoabench.errors import BadValue, UserError, did_you_mean
+from aoabench.errors import BadValue, Unfit, UserError, did_you_mean
 from aoabench.resources import shipped
-from aoabench.roles import NEEDS
+from aoabench.roles import NEEDS, Estimator
 
 _PLUGGED = ("scenario", "noise", *LISTS)
+_PLACES = ((), ("noise=ofdm_crlb",), ("scenario=ble_room", "noise=ble_multipath"))
 _LINE = re.compile(r"( *)(\w+): *([^#]*?) *(?:# *(.*))?")
 
 
 class About(NamedTuple):
-    """A preset: its group, name and description; its class, and what class and module say of it;
-    names of NEEDS that it needs, or offers; why `all` leaves it out, "" if it does not; an example;
-    its keys.
+    """A preset: its group, name and description; a command that uses it; its keys; its class, and
+    the first paragraphs of class and module; names of NEEDS that it needs or offers; why `all`
+    leaves it out, "" if it does not.
     """
 
     group: str
     preset: str
     description: str
-    target: str
-    what: str
-    source: str
-    needs: list[str]
-    offers: list[str] | None
-    not_in_all: str
     example: str
     parameters: list[Parameter]
+    target: str = ""
+    what: str = ""
+    source: str = ""
+    needs: Sequence[str] = ()
+    offers: Sequence[str] | None = None
+    not_in_all: str = ""
 
 
 def about(name: str, config_dir: str | None = None) -> About:
     """A preset of any group; UserError for an unknown name."""
     group = group_of(name, config_dir)
     chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
-    head = (group, name, options(group, config_dir)[name])
+    description = options(group, config_dir)[name]
     if group not in _PLUGGED:
         keys = _commented(_file(group, name, config_dir), group) if group == "runner" else []
         example = f"aoabench run {chosen} --cfg job" if group == "experiment" else _example(chosen)
-        return About(*head, "", "", "", [], None, "", example, list(keys))
+        return About(group, name, description, example, list(keys))
     plain = composed([chosen], config_dir)
     node = plain[group][name] if group in LISTS else plain[group]
     cls = resolve(node["_target_"], group)
-    needs, offers, causal = _wants(group, name, node)
+    wants = _wants(group, name, node, chosen)
     words = variants(group, config_dir).get(name, "") if group in LISTS else ""
-    left_out = SMOOTHER if not causal else variant_of(words) if words else ""
-    docs = (_first(inspect.getdoc(cls)), _first(inspect.getdoc(inspect.getmodule(cls))))
-    rest = needs, offers, left_out, _example(chosen), parameters(name, config_dir)
-    return About(*head, node["_target_"], *docs, *rest)
+    return About(
+        group,
+        name,
+        description,
+        wants.example,
+        parameters(name, config_dir),
+        target=node["_target_"],
+        what=_first(inspect.getdoc(cls)),
+        source=_first(inspect.getdoc(inspect.getmodule(cls))),
+        needs=wants.needs,
+        offers=wants.offers,
+        not_in_all=variant_of(words) if words else "" if wants.causal else SMOOTHER,
+    )
 
 
 def of_key(key: str, config_dir: str | None = None) -> dict[str, Parameter]:
@@ -118,21 +128,44 @@ def _commented(file: Path, head: str) -> Iterator[Parameter]:
         yield Parameter(path, yaml.safe_load(value), "", text or "", "")
 
 
-def _wants(group: str, name: str, node: Any) -> tuple[list[str], list[str] | None, bool]:
-    """What a preset needs and offers, and whether it is causal; a preset that cannot be built as it
-    is, such as a recording without its file, states neither.
+class _Wants(NamedTuple):
+    """What a preset needs and offers, whether it is causal, and an example."""
+
+    needs: list[str]
+    offers: list[str] | None
+    causal: bool
+    example: str
+
+
+def _wants(group: str, name: str, node: Any, chosen: str) -> _Wants:
+    """What a preset needs and offers; one that cannot be built as it is, such as a recording
+    without its file, states neither.
     """
     try:
         made = construct(node, group)
-    except (BadValue, UserError):
-        return [], None, True
+    except BadValue as error:
+        return _Wants([], None, True, _example(chosen, f"{error.key}=..."))
     if group in LISTS:
-        estimator = as_estimator(made, name)
-        return sorted(estimator.needs), None, estimator.causal
+        one = as_estimator(made, name)
+        return _Wants(sorted(one.needs), None, one.causal, _example(chosen, *_place(one)))
     if group == "noise":
         offers = as_noise(made, name).offers()
-        return [], None if offers is None else sorted(offers), True
-    return [], sorted(as_scenario(made, name).offers()), True
+        return _Wants([], None if offers is None else sorted(offers), True, _example(chosen))
+    return _Wants([], sorted(as_scenario(made, name).offers()), True, _example(chosen))
+
+
+def _place(estimator: Estimator) -> tuple[str, ...]:
+    """The overrides of a scenario and a noise in which an estimator runs; none for the default."""
+    for words in _PLACES:
+        plain = composed(words)
+        scenario = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
+        noise = as_noise(construct(plain["noise"], "noise"), "noise")
+        try:
+            estimator.check(scenario, noise)
+        except (BadValue, Unfit):
+            continue
+        return words
+    return ()
 
 
 def need_text(need: str) -> str:
@@ -146,12 +179,12 @@ def _first(text: str | None) -> str:
     return " ".join((text or "").partition("\n\n")[0].split())
 
 
-def _example(chosen: str) -> str:
+def _example(chosen: str, *more: str) -> str:
     """A command that uses a preset."""
     group = chosen.partition("=")[0]
-    word = f"'{chosen}'" if "[" in chosen else chosen
-    more = "" if group in LISTS else " estimator=all"
-    return f"aoabench run {word}{more} reps=20"
+    words = [f"'{chosen}'" if "[" in chosen else chosen, *more]
+    words += [] if group in LISTS else ["estimator=all"]
+    return f"aoabench run {' '.join(words)} reps=20"
 
 
 def names(config_dir: str | None = None) -> list[str]:

@@ -12,7 +12,7 @@ from aoabench.config.every import SMOOTHER, variant_of
 from aoabench.config.messages import explained
 from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
-from aoabench.config.presets import GROUPS, LISTS, options, variants
+from aoabench.config.presets import GROUPS, LISTS, options, own_options, variants
 from aoabench.errors import BadValue, UserError, did_you_mean
 from aoabench.params import allowed, key_of
 from aoabench.roles import Estimator, Noise, Scenario
@@ -62,6 +62,25 @@ def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
             meta = known[key].metadata.get("param") if key in known else None
             about = (meta.unit, meta.help, allowed(known[key])) if meta else ("", "", "")
             yield Parameter(f"{path}.{key}", value, *about)
+
+
+def own_presets(config_dir: str, plugin: str) -> dict[tuple[str, str], Any]:
+    """By group and name, the objects of the presets in a user's folder whose class is that of the
+    module `plugin`, or of a module in that package.
+
+    Raises UserError for a folder that does not exist and for a preset that cannot be built.
+    """
+    found = {}
+    for group in GROUPS[:4]:
+        for name in own_options(group, config_dir):
+            chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
+            plain = composed([chosen], config_dir, (plugin,))
+            path = f"{group}.{name}" if group in LISTS else group
+            node = plain[group][name] if group in LISTS else plain[group]
+            target = str(node.get("_target_", "")) if isinstance(node, dict) else ""
+            if target.startswith(f"{plugin}."):
+                found[group, name] = construct(node, path, (plugin,))
+    return found
 
 
 def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str, list[str]]]:
@@ -158,13 +177,15 @@ def _every_estimator(config_dir: str | None = None) -> list[str]:
     return [f"{group}=[{','.join(options(group, config_dir))}]" for group in LISTS]
 
 
-def composed(overrides: Sequence[str], config_dir: str | None = None) -> dict[str, Any]:
+def composed(
+    overrides: Sequence[str], config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> dict[str, Any]:
     """The resolved config with these overrides."""
     from hydra import compose
 
     with hydra_initialised(config_dir), explained((), config_dir):
         cfg = compose("config", overrides=list(overrides))
-        return resolved(plain_nodes(cfg, Speller()))
+        return resolved(plain_nodes(cfg, Speller(plugins)))
 
 
 def _that_fit(
