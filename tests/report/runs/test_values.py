@@ -90,6 +90,15 @@ def test_colours_of_another_column_give_panels_of_estimators(sweep):
     assert list(dict.fromkeys(found["panel"])) == ["ekf_vmf", "ekf_ae_nominal"]
 
 
+def test_estimators_can_be_an_axis(sweep):
+    found = values.means(*prepared(sweep, ONE[1:], by="noise", over=("estimator",), kind="curve"))
+    frame = aoabench.load(sweep).query("`noise.sigma_deg` == 5")
+    wanted = frame.groupby(["noise", "estimator"])["rmse_3d_m"].mean()
+    assert found.set_index(["group", "estimator"])["value"].to_dict() == pytest.approx(
+        wanted.to_dict()
+    )
+
+
 def test_the_course_is_the_median_of_the_replications(sweep, steps):
     found = values.courses(*prepared(sweep, ONE, kind="time", metric="error_xy_m"))
     assert found["timed"].all()
