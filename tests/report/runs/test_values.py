@@ -1,5 +1,7 @@
 """The numbers in the figures of a run against SciPy, pandas and the stored tables."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -82,6 +84,13 @@ def test_means_have_their_parameters(sweep):
         assert len(mine) == 7
         assert row["value"] == pytest.approx(mine["rmse_3d_m"].mean())
         assert row["low"] < row["value"] < row["high"]
+
+
+def test_estimators_that_are_not_causal_are_marked(sweep):
+    source, choice = prepared(sweep, ONE)
+    late = source.summary.assign(causal=source.summary["estimator"] != "ekf_vmf")
+    found = values.shown(replace(source, summary=late), choice)
+    assert [one.group for one in found] == ["ekf_vmf (non-causal)", "ekf_ae_nominal"]
 
 
 def test_colours_of_another_column_give_panels_of_estimators(sweep):
