@@ -7,9 +7,11 @@ A file outside docs/ that a page links to is copied to repository/, Markdown as 
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +113,7 @@ def presets() -> str:
         for name, text in options(group).items():
             shown.append(f"### {name}\n\n{text}.\n")
             rows = [
-                (f"`{one.key}`", f"`{one.value!r}`", one.unit, one.allowed, one.help)
+                (f"`{one.key}`", f"`{json.dumps(one.value)}`", one.unit, one.allowed, one.help)
                 for one in catalogue.parameters(name)
             ]
             shown.append(_table(("key", "value", "unit", "allowed", "meaning"), rows))
@@ -177,5 +179,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def _cell(value: object) -> str:
-    text = " ".join(str(value).split())
-    return text.replace("|", "\\|") if "`" in text else re.sub(r"([|<*_\[])", r"\\\1", text)
+    """A text as a table's cell; what stands between backquotes is code, and nothing else is markup."""
+    parts = re.split(r"(`[^`]+`)", " ".join(str(value).split()))
+    parts[::2] = [re.sub(r"([*_\[])", r"\\\1", escape(part, quote=False)) for part in parts[::2]]
+    return "".join(parts).replace("|", "\\|")
