@@ -128,7 +128,7 @@ def tables() -> str:
     shown = []
     for title, found in columns.TABLES.items():
         rows = [
-            (f"`{name}`", kind, columns.unit_of(name), columns.meaning(name))
+            (f"`{name}`", kind, columns.unit_of(_statistic(name)), columns.meaning(name))
             for name, kind in found.items()
         ]
         shown.append(f"### {title}\n\n{_table(('column', 'type', 'unit', 'meaning'), rows)}")
@@ -170,6 +170,11 @@ PARTS: dict[str, Callable[[], str]] = {
 }
 
 
+def _statistic(column: str) -> str:
+    """The statistic of which a column holds the standard error or an end of the interval."""
+    return re.sub(r"_(se|low|high)$", "", column)
+
+
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """A Markdown table."""
     if not rows:
@@ -179,7 +184,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def _cell(value: object) -> str:
-    """A text as a table's cell; what stands between backquotes is code, and nothing else is markup."""
+    """A text as a table's cell: code stands between backquotes, and nothing else is markup."""
     parts = re.split(r"(`[^`]+`)", " ".join(str(value).split()))
     parts[::2] = [re.sub(r"([*_\[])", r"\\\1", escape(part, quote=False)) for part in parts[::2]]
     return "".join(parts).replace("|", "\\|")
