@@ -118,6 +118,7 @@ lock: $(READY)
 	@# what builds the documentation is not part of the environment that everybody sets up
 	$(BIN)/python -c 'import tomllib as t; print(*t.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"], sep="\n")' \
 		| $(call resolve,-,--constraint requirements.lock,.ci/docs.lock)
+	$(call resolve,pyproject.toml,$(addprefix --extra ,test xlsx geo dxf dask xarray) --resolution lowest-direct,.ci/lowest.lock)
 
 clean:
 	rm -rf $(VENV) results/raw results/quick results/draft .pytest_cache .mypy_cache .ruff_cache

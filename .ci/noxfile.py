@@ -10,7 +10,7 @@ from pathlib import Path
 import nox
 
 PYTHONS = ["3.11", "3.12", "3.13"]
-EXTRAS = "test,dask,xlsx,geo,dxf"
+EXTRAS = "test,dask,xlsx,geo,dxf,xarray"
 ROOT = Path(__file__).parents[1]
 # what finds a library that is too old soonest: the command line, each preset, compiled kernels,
 # tables, statistics

@@ -11,6 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from aoabench.cli.common import Choice, Command, echo, estimator_names, run_argument, say
+from aoabench.errors import RunError, UserError
 from aoabench.report.runs.kinds import KINDS
 
 
@@ -22,7 +23,6 @@ def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> l
 
 def _columns(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Completions: the columns that differ between the cells and estimators of the run."""
-    from aoabench.errors import RunError, UserError
     from aoabench.report.runs.source import read, varied
 
     try:
@@ -121,5 +121,11 @@ def plot(
     words = ["aoabench", "plot", str(run), "--kind", made.choice.kind]
     words += [word for key, value in given.items() if value for word in (f"--{key}", value)]
     words += [word for condition in where for word in ("--where", condition)]
-    writing.write(made, path, shlex.join([*words, "-o", str(path)]))
+    try:
+        writing.write(made, path, shlex.join([*words, "-o", str(path)]))
+    except PermissionError as error:  # another user's run, or an archive
+        if out is not None:
+            raise
+        again = "name another file with -o"
+        raise RunError(f"{path} cannot be written: {error.strerror}; {again}") from None
     say(f"{made.choice.kind}: {path}")

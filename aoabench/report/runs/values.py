@@ -41,10 +41,10 @@ class Shown:
 
 
 def shown(source: Source, choice: Choice) -> list[Shown]:
-    """Each chosen estimator and cell in the order of panels and colours."""
+    """Each chosen estimator and cell in the order of panels, colours and axes."""
     pairs = source.pairs()
     orders = {}
-    for name in dict.fromkeys((*choice.panels, choice.by)):
+    for name in dict.fromkeys((*choice.panels, choice.by, *choice.over)):
         values = pairs[name].unique().tolist() if name == "estimator" else ordered(pairs[name])
         orders[name] = {value_text(value): i for i, value in enumerate(values)}
     found = []
@@ -56,7 +56,7 @@ def shown(source: Source, choice: Choice) -> list[Shown]:
             for n in choice.panels
             if texts[n] != "null"
         )
-        place = tuple(orders[n][texts[n]] for n in (*choice.panels, choice.by))
+        place = tuple(orders[n][texts[n]] for n in (*choice.panels, choice.by, *choice.over))
         found.append((place, Shown(row["cell"], row["estimator"], panel, names[choice.by])))
     return [one for _, one in sorted(found, key=lambda pair: pair[0])]
 
@@ -178,10 +178,10 @@ def means(source: Source, choice: Choice) -> pd.DataFrame:
 
 
 def courses(source: Source, choice: Choice) -> pd.DataFrame:
-    """Errors over the steps: x (s since the first step of the cell where the time is known, else
-    the step), median and the quantiles low (5 %) and high (95 %) over the n replications with a
-    position. The tracks of a recording, which have times of their own, stay apart: `track` has
-    their number, -1 elsewhere. Of more than 400 steps, each point covers several (`steps`).
+    """Errors over the steps: x (the time in s where it is known, in a recording since its first
+    fix; else the step), median and the quantiles low (5 %) and high (95 %) over the n replications
+    with a position. The tracks of a recording, which have times of their own, stay apart: `track`
+    has their number, -1 elsewhere. Of more than 400 steps, each point covers several (`steps`).
     """
     import pandas as pd
 
@@ -192,7 +192,8 @@ def courses(source: Source, choice: Choice) -> pd.DataFrame:
         entry = source.entries[one.cell][one.estimator]
         frame = errors_over_time(source.out, entry, choice.metric.split("_")[1])
         timed = bool(frame["time_s"].notna().all())
-        at = frame["time_s"] - frame["time_s"].min() if timed else frame["step"].astype(float)
+        start = frame["time_s"].min() if one.cell in recorded else 0.0
+        at = frame["time_s"] - start if timed else frame["step"].astype(float)
         apart = one.cell in recorded and frame["replication"].nunique() > 1
         frame["track"] = frame["replication"] if apart else -1
         frame["x"], steps = _spans(at.to_numpy())

@@ -41,7 +41,9 @@ def recorded(tmp_path_factory):
             xyz = ["x_m", "y_m", "z_m"]
             (frame if known else frame.drop(columns=xyz)).to_csv(path, index=False)
             words = (f"scenario.path={path}", f"scenario.anchors={folder / 'anchors.csv'}")
-            aoabench.run("scenario=recorded", *words, "estimator=[ls_lines]", QUICK[0], out=out)
+            aoabench.run(
+                "scenario=recorded", *words, "estimator=[ls_lines,vmf_ml]", QUICK[0], out=out
+            )
         return out
 
     return made

@@ -100,5 +100,5 @@ def test_pairs_need_two_estimators_in_a_cell(frame):
 
 def test_steps_are_asked_for_where_they_lack(sweep, grid):
     assert choose(read(sweep), Asked("time"), True, True).metric == "error_3d_m"
-    with pytest.raises(UserError, match="run the same command again with store.steps=true"):
+    with pytest.raises(UserError, match=r"run the same command again with store\.steps=true"):
         choose(read(grid), Asked("time"), True, False)
