@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.structure.files import File, Files
+from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
 
 import aoabench
@@ -42,7 +42,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         for target in _targets(page):
             uri = _uri(target)
             if not target.is_relative_to(DOCS) and target.is_file() and uri not in files.src_uris:
-                file = File.generated(config, uri, abs_src_path=str(target))
+                file = File.generated(
+                    config, uri, abs_src_path=str(target), inclusion=InclusionLevel.NOT_IN_NAV
+                )
                 files.append(file)
                 if target.suffix == ".md":
                     waiting.append(target)
@@ -123,8 +125,11 @@ def tables() -> str:
     """The columns of each stored table."""
     shown = []
     for title, found in columns.TABLES.items():
-        rows = [(f"`{name}`", kind, columns.meaning(name)) for name, kind in found.items()]
-        shown.append(f"### {title}\n\n{_table(('column', 'type', 'meaning'), rows)}")
+        rows = [
+            (f"`{name}`", kind, columns.unit_of(name), columns.meaning(name))
+            for name, kind in found.items()
+        ]
+        shown.append(f"### {title}\n\n{_table(('column', 'type', 'unit', 'meaning'), rows)}")
     return "\n".join(shown)
 
 

@@ -183,8 +183,15 @@ class CheckedParams:
 
     def __post_init__(self) -> None:
         for f in fields(cast(Any, self)):
-            if "param" in f.metadata:
-                f.metadata["param"].check(key_of(f), getattr(self, f.name), _annotation(f.type))
+            check_field(f, getattr(self, f.name))
+
+
+def check_field(f: Field[Any], value: object) -> None:
+    """Raise BadValue unless `value` fits the field `f`; a field that `param` did not make takes any
+    value.
+    """
+    if "param" in f.metadata:
+        f.metadata["param"].check(key_of(f), value, _annotation(f.type))
 
 
 def _annotation(kind: object) -> str:

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from aoabench import loaded
-from aoabench.devices import plan
 from aoabench.devices.anchors import SCHEMA, AnchorsFile, read_anchors
 from aoabench.devices.geodesy import Origin
-from aoabench.devices.truth import Truth, read_truth
+from aoabench.devices.plans import plan
+from aoabench.devices.tracks.truth import Truth, read_truth
 from aoabench.errors import BadValue, check_array
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array

@@ -26,7 +26,7 @@ NAMES = (*METRICS, *ERRORS, *SUMMARIES)
 _MEANS = {f"rmse_{axis}_m": f"rmse_mean_{axis}_m" for axis in ("3d", "xy", "z")}
 _AXES = {"3d": "3-D", "xy": "in the plane", "z": "in z"}
 _WORDS = {
-    FAILURES: "share of replications with a failed or diverged fix",
+    FAILURES: "share of failed or diverged replications",
     "availability": "share of fixes that are ok",
     "nees": "NEES",
     "iterations": "iterations",
@@ -37,7 +37,7 @@ def check_metric(metric: str) -> None:
     """Raise UserError for a metric that no kind of figure shows."""
     if metric not in NAMES:
         hint = did_you_mean(metric, NAMES) or f"; allowed: {', '.join(NAMES)}"
-        raise UserError(f"--metric {metric}: no such metric{hint}")
+        raise UserError(f"metric={metric}: no such metric{hint}")
 
 
 def label(name: str) -> str:
@@ -72,12 +72,12 @@ def estimates(source: Source, metric: str) -> pd.DataFrame:
     """
     import pandas as pd
 
-    stored: dict[tuple[str, str], Any] = {}
+    stored: dict[Any, Any] = {}
     if source.summary is not None:
         keys = zip(source.summary["cell"], source.summary["estimator"])
         stored = dict(zip(keys, source.summary.to_dict("records")))
     elif metric in SUMMARIES:
-        raise UserError(f"--metric {metric}: a frame does not hold it; allowed: a run's folder")
+        raise UserError(f"metric={metric}: a frame does not hold it; allowed: a run's folder")
     rows = []
     for (cell, name), mine in source.frame.groupby(["cell", "estimator"], sort=False):
         three = _three(source, metric, stored.get((cell, name)), mine)
@@ -104,7 +104,9 @@ def _three(
         return count / n, *intervals.rate_interval(count, n)
     shared = row is not None and row["se_by"] == "position"
     if metric in CLUSTERED and shared and source.out is not None:
-        found = means(rows, clusters(source.out, rows["cell"].iloc[0], rows["estimator"].iloc[0]))["iterations_mean"]
+        found = means(rows, clusters(source.out, rows["cell"].iloc[0], rows["estimator"].iloc[0]))[
+            "iterations_mean"
+        ]
     else:
         found = statistics.mean(values)
     low, high = found.interval()
