@@ -45,3 +45,13 @@ def lint(session: nox.Session) -> None:
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("mypy")
+
+
+@nox.session(python=PYTHONS[0])
+def docs(session: nox.Session) -> None:
+    """The documentation as a site, in results/draft/site."""
+    session.chdir(ROOT)
+    for lock in ("requirements.lock", ".ci/docs.lock"):
+        session.install("--require-hashes", "-r", lock)
+    session.install("--no-deps", "-e", ".")
+    session.run("mkdocs", "build", "--quiet", "--strict", "-f", ".ci/mkdocs.yml")
