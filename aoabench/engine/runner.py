@@ -47,6 +47,11 @@ class RunReport:
     damaged: tuple[Path, ...] = ()
     precision: tuple[Mapping[str, Any], ...] = ()
 
+    def __repr__(self) -> str:
+        damaged = f", {len(self.damaged)} damaged" if self.damaged else ""
+        count = f"{self.computed} estimator-replications computed, {self.reused} reused{damaged}"
+        return f"RunReport({self.out}: {count}, {self.seconds:.3g} s)"
+
 
 def run(
     cells: Sequence[Cell],

@@ -32,11 +32,18 @@ def section(
         mine = [r for r in rows if r["study"] == study.name and r["item"] == item.name]
         items.append({**_item(study, item, contents[item.name], problem, places), "rows": mine})
     found = {key: value for content in contents.values() for key, value in content.values.items()}
-    errata = [{**e, "effect_text": _effect(e.get("effect"), found)} for e in study.errata]
     readme = study.folder / "README.md"
     text = readings(readme.read_text(encoding="utf-8")) if readme.exists() else ""
     more = findings.further(study, found)
-    return {"study": study, "found": more, "items": items, "readings": text, "errata": errata}
+    wrong = errata(study, found)
+    return {"study": study, "found": more, "items": items, "readings": text, "errata": wrong}
+
+
+def errata(study: Study, found: Mapping[str, Any]) -> list[Row]:
+    """The study's errata, each with its effect as text in `effect_text`; `found` holds the numbers
+    of its tables by their ids, as in Stored.values.
+    """
+    return [{**e, "effect_text": _effect(e.get("effect"), found)} for e in study.errata]
 
 
 def _item(
@@ -145,7 +152,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 200 else f"{text[:200]} ..."
 
 
-def _effect(effect: dict[str, str] | None, found: dict[str, Any]) -> str:
+def _effect(effect: dict[str, str] | None, found: Mapping[str, Any]) -> str:
     """The effect of an erratum, as words and our number; "" if the erratum has none or its number
     was not computed.
     """
