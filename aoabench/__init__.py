@@ -1,8 +1,9 @@
 """aoabench: the Monte Carlo simulation-and-benchmark framework for angle-of-arrival (AoA)
 positioning.
 
-`run` simulates, `load` reads the tables of a run, `compare` compares its estimators, `locate` gives
-the positions of the tags in a recording. Everything else is imported from its module.
+`run` simulates, `load` reads the tables of a run, `compare` compares its estimators, `plot` draws
+them, `export` gives their table for a paper, `locate` gives the positions of the tags in a
+recording. Everything else is imported from its module.
 """
 
 from __future__ import annotations
@@ -10,23 +11,30 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from aoabench import loaded  # noqa: F401 - first: it records the modules below
 from aoabench.errors import RunError, UserError
+from aoabench.params import param
 from aoabench.roles import Estimator, Filter, Measurement, Motion, Noise, Scenario
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
-__version__ = "0.1.0"
+    from aoabench.filters.gaussian import Gaussian
+    from aoabench.filters.recursion import KalmanFilter
+
+__version__ = "0.2.0"
 __all__ = [
     "Anchors",
     "Batch",
     "Estimates",
     "Estimator",
     "Filter",
+    "Gaussian",
+    "KalmanFilter",
     "Measurement",
     "Measurements",
     "Motion",
@@ -36,10 +44,22 @@ __all__ = [
     "Scenario",
     "UserError",
     "compare",
+    "export",
     "load",
     "locate",
+    "param",
+    "plot",
     "run",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """The base class of Kalman filters and its distributions, whose modules load SciPy."""
+    if name not in ("Gaussian", "KalmanFilter"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from aoabench.filters import gaussian, recursion
+
+    return {"Gaussian": gaussian.Gaussian, "KalmanFilter": recursion.KalmanFilter}[name]
 
 
 def run(
@@ -51,16 +71,28 @@ def run(
     progress: bool = False,
     fresh: bool = False,
 ) -> pd.DataFrame:
-    """Run one cell, or a sweep if an override holds commas, and return its tidy frame (see `load`).
+    """Run one cell, or a sweep if an override holds commas, and return its tidy frame.
 
-    Overrides are those of the command line: `run("noise=vmf", "filter=[ekf_vmf]",
-    "noise.sigma_deg=2,5", "reps=200")`. `estimators` adds objects of your own by name: callables
-    (batch, scenario, streams) -> Estimates, which get the same draws as the presets. `out` is the
-    folder of the tables (runner.out); results that are stored there are reused, unless `fresh`
-    computes them again and replaces them. Raises UserError for a mistake in the input, and RunError
-    for an error that stops the run later.
+    Overrides are those of the command line: groups (`scenario`, `noise`, `filter`, `estimator`,
+    `experiment`, `runner`; `aoabench list` shows their presets, `aoabench list NAME` the parameters
+    of one), parameters of what they choose, and `reps`, `seed`:
+
+        aoabench.run("scenario=square_track", "noise=vmf", "noise.sigma_deg=2,5",
+                     "filter=[ekf_vmf,ukf_vmf]", "filter.ekf_vmf.extent_factor=20", "reps=200")
+
+    estimators: objects of your own by name, `Estimator`s or other callables (batch, scenario,
+    streams) -> Estimates; they get the same draws as the presets. out: the folder of the tables
+    (runner.out); results that are stored there are reused, unless `fresh` computes them again and
+    replaces them. config_dir: a folder with presets of your own; plugins: packages that its presets
+    may name. progress: print what the run does, and a bar, on standard error.
+
+    The frame has a row per cell, estimator and replication, the columns of replications.parquet and
+    one per swept parameter; see `load` for its `attrs`. `attrs["notes"]` has remarks about the
+    input, such as the presets that `filter=all` leaves out. Raises UserError for a mistake in the
+    input, and RunError for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
+    from aoabench.config.fit import left_out_text
     from aoabench.engine import faults, runner
 
     cells = compose_cells(
@@ -73,9 +105,12 @@ def run(
     )
     frame = load(runner.run(cells, progress, fresh).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
-    return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
-        drop=True
-    )
+    kept = [pair in mine for pair in zip(frame["cell"], frame["estimator"])]
+    frame = frame[kept].reset_index(drop=True)
+    frame.attrs["cells"] = frame["cell"].unique().tolist()
+    notes = dict.fromkeys(line for cell in cells for line in cell.notes)
+    frame.attrs["notes"] = [*notes, *left_out_text(cells)]
+    return frame
 
 
 def locate(
@@ -90,9 +125,11 @@ def locate(
 ) -> pd.DataFrame:
     """Return the fixes of all tags in a device's log, a row for each fix of each tag.
 
-    The arguments are those of `aoabench locate`: `locate("capture.log", "anchors.csv",
-    "scenario.window_s=0.1", filter="ekf_vmf")`; see `deployment.fixes.COLUMNS` for the columns.
-    Raises UserError for a mistake in the input.
+    The arguments are those of `aoabench locate`. log, anchors: the files; settings: overrides of
+    the reader such as "scenario.window_s=0.1"; format: the log's, None: recognised; estimator or
+    filter: the method, None for both: robust_ml; truth: a file of true positions; max_sigma_m:
+    reject fixes whose ellipse has a larger half-axis in m. See `deployment.fixes.COLUMNS` for the
+    columns. Raises UserError for a mistake in the input.
     """
     from aoabench.deployment import located
     from aoabench.deployment.request import Request
@@ -107,12 +144,20 @@ def locate(
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """Return the table of the run in folder `out`: one row per cell x estimator x replication, and
     one column per swept parameter.
+
+    Its `attrs` hold the `folder`, the ids of the `cells` and the `units` of the columns that have
+    one. Raises UserError for a folder without a run, and RunError if its tables are torn.
     """
+    from aoabench.columns import unit_of
     from aoabench.engine.faults import explained
     from aoabench.store import tables
 
     with explained(Path(out)):
-        return tables.load(_literal(out))
+        frame = tables.load(_literal(out))
+    units = {name: unit for name in frame if (unit := unit_of(name))}
+    cells = frame["cell"].unique().tolist()
+    frame.attrs = {"folder": os.fspath(out), "cells": cells, "units": units}
+    return frame
 
 
 def compare(
@@ -120,15 +165,81 @@ def compare(
 ) -> pd.DataFrame:
     """Paired comparison of the estimators of the run in folder `run`, a row per cell and estimator.
 
-    Each row holds the change against `baseline` (None: the estimator with the smallest mean in each
-    cell) with its interval, the p-value by Holm's method over the table, and a summary line. See
-    `store.compare.compare` for the columns.
+    Each row holds the change of the mean of `metric`, a column of numbers of replications.parquet
+    or failure_rate, against `baseline` (None: the estimator with the smallest mean in each cell)
+    with its interval, the p-value by Holm's method over the table, and a summary line. See
+    `store.compare.compare` for the columns. Raises UserError for a run, metric or baseline that
+    does not exist.
     """
     from aoabench.engine.faults import explained
     from aoabench.store import compare as compare_module
 
     with explained(Path(run)):
         return compare_module.compare(_literal(run), baseline, metric)
+
+
+def plot(
+    source: str | os.PathLike[str] | pd.DataFrame,
+    kind: str | None = None,
+    metric: str | None = None,
+    by: str | None = None,
+    over: str | Sequence[str] = (),
+    where: str | Sequence[str] = (),
+    baseline: str | None = None,
+) -> Figure:
+    """Return a figure of the run in the folder `source`, or of a frame of `load` or `run`.
+
+    `kind`: cdf, box, violin, curve, heatmap, time or pairs; None: a curve if one parameter with
+    numbers was swept, a heat map if several were, else a cdf. `metric`: a column of the
+    replications (rmse_3d_m ...), of the summary (cep50_m ...), or the error of each fix
+    (error_3d_m, error_xy_m, error_z_m). `by`: the column with a colour for each value (default
+    estimator). `over`: the swept parameters of the axes of a curve (one) or heat map (two); others
+    have a panel for each value. `where`: conditions "KEY=VALUE[,VALUE]". `baseline`: the estimator
+    with which pairs are compared (default: the one with the smallest mean).
+
+    From a frame alone all intervals are over replications, and the errors of fixes and the steps
+    are unknown. The figure is not pyplot's: save it with `figure.savefig`, or let a notebook show
+    it. Raises UserError for a wish that does not fit the run, and RunError for torn tables.
+    """
+    import pandas as pd
+
+    from aoabench.engine.faults import explained
+    from aoabench.report.runs import drawing
+
+    if isinstance(source, pd.DataFrame):
+        return drawing.plot(source, kind, metric, by, over, where, baseline)
+    with explained(Path(source)):
+        return drawing.plot(_literal(source), kind, metric, by, over, where, baseline)
+
+
+def export(
+    run: str | os.PathLike[str],
+    form: str = "latex",
+    metrics: Sequence[str] = (),
+    by: str | None = None,
+    digits: int = 2,
+) -> Any:
+    """Return the summary of the run in the folder `run`, a row for each cell and estimator, as
+    `aoabench export` writes it. form: latex, markdown or csv, which are texts, json, a dict, or
+    xarray, an xarray.Dataset.
+
+    metrics: names of columns of summary.parquet or timing.parquet, or `all`. by: a key with several
+    values, each of which gets a column per metric in latex and markdown. digits: significant digits
+    of an interval's half-width, to which these two round. Raises UserError for a mistake in the
+    input, and where xarray is not installed.
+    """
+    from aoabench.engine.faults import explained
+    from aoabench.errors import check_choice
+    from aoabench.report import export as export_module
+
+    check_choice("form", form, list(export_module.FORMATS))
+    with explained(Path(run)):
+        return export_module.export(Path(_literal(run)), form, metrics, by, digits)
+
+
+def __dir__() -> list[str]:
+    """The public names, without the modules that they come from."""
+    return sorted([*__all__, "__version__"])
 
 
 def _literal(path: str | os.PathLike[str]) -> str:

@@ -6,9 +6,15 @@ of a types.Reason in lower case, "" where nothing needs one, and null in tables 
 
 from __future__ import annotations
 
+import re
+
 # Version of the tables, in the metadata of each file; a file without one has version 1, whose
 # tables lack times, reasons, n_unmeasured, imprecise, standard deviations and intervals.
 SCHEMA = 2
+
+_UNITS = {f"_{unit}": unit for unit in ("m", "s", "ns", "deg", "rad")}
+_UNITS |= {"_m_s": "m/s", "_m2": "m^2", "_db": "dB", "_dbm": "dBm"}
+_UNITS |= {"_hz": "Hz", "_khz": "kHz", "_ghz": "GHz"}
 
 REPLICATIONS = {
     "cell": "string",
@@ -184,3 +190,105 @@ PRECISION = {
     "wanted_relative_se": "double",
     "reached": "bool",
 }
+
+
+TABLES = {
+    "replications": REPLICATIONS,
+    "steps": STEPS,
+    "summary": SUMMARY,
+    "timing": TIMING,
+    "failures": FAILURES,
+    "precision": PRECISION,
+}
+
+
+MEANINGS = {
+    "cell": "id of scenario, noise, seed and their parameters",
+    "experiment": "preset of the experiment, empty without one",
+    "scenario": "preset of the scenario",
+    "noise": "preset of the noise",
+    "estimator": "name of the filter or estimator",
+    "replication": "number of the replication, from 0",
+    "step": "number of the step or fix in its replication, from 0",
+    "rmse_3d_m": "root mean square error over the fixes that have a position, in space",
+    "rmse_xy_m": "the same in the plane",
+    "rmse_z_m": "the same in height; NaN for methods in the plane",
+    "outcome": "ok, oscillated, rejected, diverged or failed; of a replication the worst of its "
+    "fixes, of a recorded track the commonest",
+    "n_fixes": "fixes",
+    "iterations": "mean iterations per fix",
+    "nees": "normalised estimation error squared, mean over fixes; 3 for a consistent filter",
+    "n_unmeasured": "fixes without an azimuth, elevation or delay of any anchor",
+    "n_imprecise": "fixes whose reported deviation exceeds the extent of the anchors",
+    "reason": "commonest reason of the fixes that are not ok",
+    "tag": "tag of the recorded track; null where simulated",
+    "x_m": "estimated position, x",
+    "y_m": "estimated position, y",
+    "z_m": "estimated position, z",
+    "error_3d_m": "distance from the true position",
+    "error_xy_m": "distance in the plane",
+    "error_z_m": "estimated less true height",
+    "time_s": "time of the fix",
+    "fix": "name or number of the recorded fix",
+    "imprecise": "whether the reported deviation exceeds the extent of the anchors",
+    "anchors_used": "anchors that the fix uses",
+    "score": "the method's own measure of how well the measurements agree",
+    "replications": "replications that the row covers",
+    "largest_share": "share of the sum of squared errors of the largest replication or position",
+    "heavy_tail": "whether largest_share is too large for intervals of RMSE to hold",
+    "failure_rate": "share of replications with a failed or diverged fix",
+    "nees_mean": "mean NEES over the replications",
+    "iterations_mean": "mean iterations per fix over the replications",
+    "share_unmeasured": "share of fixes without any measurement",
+    "share_imprecise": "share of fixes whose reported deviation exceeds the extent of the anchors",
+    "share_reason": "share of all fixes that have this reason",
+    "availability": "share of fixes that are ok",
+    "se_by": "what standard errors are clustered by: replication or position",
+    "causal": "false for a smoother, whose fixes use later measurements too",
+    "seconds_per_step": "time of the estimator per step, measured serially",
+    "seconds_per_replication": "time of the estimator per replication",
+    "steps": "steps of a replication",
+    "sentence": "the reason in words",
+    "error": "exception, or NaN that was not declared",
+    "replay": "command that repeats the replication",
+    "metric": "column whose mean has to be precise",
+    "mean": "mean of the metric over the replications",
+    "se": "its standard error",
+    "relative_se": "the standard error as a fraction of the mean",
+    "wanted_se": "until.se",
+    "wanted_relative_se": "until.relative_se",
+    "reached": "whether the precision was reached",
+}
+_PATTERNS = {
+    r"n_(\w+)": "fixes that are {}",
+    r"share_(\w+)": "share of fixes that are {}",
+    r"sigma_(.)_m": "reported standard deviation in {}",
+    r"cov_(..)_m2": "reported covariance, element {}",
+    r"rmse_pooled_(\w+)_m": "root mean square error over all fixes, {}",
+    r"rmse_mean_(\w+)_m": "mean of the replications' RMSE, {}",
+    r"rmse_q(\d+)_3d_m": "{} % quantile of the replications' RMSE in space",
+    r"cep(\d+)_m": "error in the plane that {} % of the fixes do not exceed",
+    r"error_z_q(\d+)_m": "error in height, without sign, that {} % of the fixes do not exceed",
+    r"p_within_(\d+)m": "share of fixes with an error in the plane of at most {} m",
+    r"(\w+)_se": "standard error of {}",
+    r"(\w+)_low": "lower end of the 95 % interval of {}",
+    r"(\w+)_high": "upper end of the 95 % interval of {}",
+}
+
+
+def meaning(column: str) -> str:
+    """The meaning of a column of a stored table in words; KeyError for an unknown column."""
+    if column in MEANINGS:
+        return MEANINGS[column]
+    for pattern, text in _PATTERNS.items():
+        if found := re.fullmatch(pattern, column):
+            return text.format(found[1])
+    raise KeyError(column)
+
+
+def unit_of(name: str) -> str:
+    """The unit that the name of a column or parameter states: "m", "deg", "s" ...; "" if none."""
+    if name.startswith("seconds_"):
+        return "s"
+    ends = [end for end in _UNITS if name.endswith(end)]
+    return _UNITS[max(ends, key=len)] if ends else ""

@@ -1,12 +1,30 @@
-"""Shipped folders, the folder that output goes to, and versions of installed libraries."""
+"""What the installation and the system offer: shipped folders, the folder that output goes to,
+versions of installed libraries, locks of files.
+"""
 
 from __future__ import annotations
 
+import errno
 import functools
 import os
+import time
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+fcntl: Any  # POSIX
+try:
+    import fcntl
+except ImportError:
+    fcntl = None
+msvcrt: Any  # Windows
+try:
+    import msvcrt
+except ImportError:
+    msvcrt = None
+
+_BYTE = 2**30  # locked on Windows: behind all text, because others cannot read a locked byte
+_POLL_S = 0.1
 
 
 def shipped(folder: str) -> Path:
@@ -49,3 +67,37 @@ def version(name: str) -> str | None:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return None
+
+
+def lock(descriptor: int, wait: bool) -> bool:
+    """Lock an open file against other processes, and other openings in this one, until it is
+    closed; return whether it is locked, which it always is with `wait`. POSIX locks folders, too.
+
+    Raises OSError where the file system or the system has no locks.
+    """
+    if fcntl is not None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            return False
+        return True
+    if msvcrt is None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    while not (locked := _lock_byte(descriptor)) and wait:
+        time.sleep(_POLL_S)
+    return locked
+
+
+def _lock_byte(descriptor: int) -> bool:
+    """Lock one byte of an open file as Windows does; return whether no other opening holds it."""
+    position = os.lseek(descriptor, 0, os.SEEK_CUR)
+    os.lseek(descriptor, _BYTE, os.SEEK_SET)
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    except OSError as error:
+        if error.errno not in (errno.EACCES, errno.EDEADLK):
+            raise
+        return False
+    finally:
+        os.lseek(descriptor, position, os.SEEK_SET)
+    return True

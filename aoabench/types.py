@@ -13,6 +13,7 @@ from enum import IntEnum
 import numpy as np
 
 from aoabench.maths.geometry import Array
+from aoabench.maths.shown import shown
 
 
 class Outcome(IntEnum):
@@ -131,10 +132,11 @@ class Anchors:
         return Anchors(**{name: a if a.shape[1] == 1 else a[:, index] for name, a in arrays})
 
     def those(self, index: np.ndarray) -> Anchors:
-        """Return the K anchors whose indices on the anchor axis are `index` (K,), in that order, in
-        arrays (R|1, T|1, K, ...).
-        """
+        """The anchors (R|1, T|1, K, ...) at the indices (K,) of the anchor axis, in that order."""
         return Anchors(**{name: a[:, :, index] for name, a in self.arrays.items()})
+
+    def __repr__(self) -> str:
+        return shown(self)
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,9 @@ class Measurements:
         found |= {name for name in ("delay", "rssi") if getattr(self, name) is not None}
         return frozenset(found | ({"stated_sigma"} if self.azimuth_sigma is not None else set()))
 
+    def __repr__(self) -> str:
+        return shown(self)
+
 
 @dataclass(frozen=True)
 class Tracks:
@@ -203,22 +208,13 @@ class Tracks:
         """The index (R + 1,) of each track's first fix, and F."""
         return np.concatenate([[0], np.cumsum(self.counts)])
 
-    @classmethod
-    def single(cls, truth: Array, measured: Measurements) -> Tracks:
-        """One track without a tag and times: true positions (F, 3) m and measurements (F, B)."""
-        F, B = measured.azimuth.shape
-        fix = np.arange(F).astype(str).astype(object)
-        nan, count = np.full(F, np.nan), np.isfinite(measured.azimuth).sum(axis=1)
-        return cls(("",), np.array([F]), nan, fix, truth, measured, count, np.arange(B))
-
 
 @dataclass(frozen=True)
 class Calibration:
     """Known deviations of an angular noise.
 
-    `sigma` is the nominal deviation in rad; `fitted` returns the deviations (azimuth, elevation) in
-    rad that fit best over uniform directions; `printed_fit_deg` holds those that a paper prints for
-    sigma = 10 deg.
+    sigma: the nominal one in rad; fitted: returns those (azimuth, elevation) in rad that fit best
+    over uniform directions; printed_fit_deg: those that a paper prints for sigma = 10 deg.
     """
 
     sigma: float
@@ -254,9 +250,7 @@ class Batch:
     known: Anchors | None = None
 
     def of(self, i: int) -> Batch:
-        """Return the batch of one replication, in arrays (1, ...); `i` is its index on the first
-        axis.
-        """
+        """Return the batch (1, ...) of the replication at index `i` of the first axis."""
         each = self.arrays.items()
         one = {n: a if a is None or len(a) == 1 else a[i : i + 1] for n, a in each}
         known = None if self.known is None else self.known.of(i)
@@ -279,6 +273,9 @@ class Batch:
         in_order = np.arange(self.azimuth.shape[2])[None, None]
         return in_order if self.anchor_id is None else self.anchor_id
 
+    def __repr__(self) -> str:
+        return shown(self)
+
 
 @dataclass(frozen=True)
 class Estimates:
@@ -298,3 +295,6 @@ class Estimates:
     score: Array | None = None
     anchors_used: Array | None = None
     reason: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        return shown(self, {"outcome": Outcome, "reason": Reason})

@@ -1,5 +1,5 @@
 """`make bench`: speed and memory, a table and a figure, to results/draft/bench; with COMMIT=1 in
-the environment to results/bench and docs/bench.md.
+the environment to results/bench and docs/reference/benchmarks.md.
 
 A part gives rows; nothing is asserted, because a shared machine is noisy. Actions to compare run in
 turn, and the medians are taken, so that a load of the machine slows all of them.
@@ -41,7 +41,7 @@ PARTS: dict[str, Part] = {
         kernels.precision,
     )
 }
-PAGE = Path("docs/bench.md")
+PAGE = Path("docs/reference/benchmarks.md")
 COMMITTED = Path("results/bench/bench.parquet")
 BEFORE = COMMITTED.with_name("before.parquet")  # the version before, on the same machine
 

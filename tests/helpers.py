@@ -1,5 +1,9 @@
 """What tests share beyond fixtures: comparisons that state by which tolerance they compare."""
 
+import errno
+import fcntl
+import os
+import struct
 import sys
 from functools import wraps
 
@@ -91,3 +95,23 @@ def directions(batch):
     """Measured directions (R, T, B, 3), unit vectors in the global frame; NaN if not measured."""
     u = to_unit(batch.azimuth, batch.elevation)
     return np.einsum("rtbi,rtbij->rtbj", u, np.broadcast_to(batch.anchors.rotation, (*u.shape, 3)))
+
+
+class Msvcrt:
+    """Windows' `msvcrt.locking` by Linux's locks of open files: a byte from the current position,
+    held by one opening of the file.
+    """
+
+    LK_NBLCK = 2
+
+    def __init__(self):
+        self.places = []
+
+    def locking(self, descriptor, mode, count):
+        assert (mode, count) == (self.LK_NBLCK, 1)
+        self.places.append(os.lseek(descriptor, 0, os.SEEK_CUR))
+        wanted = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_CUR, 0, count, 0)
+        try:
+            fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, wanted)
+        except BlockingIOError:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES)) from None

@@ -81,7 +81,12 @@ json_option = click.option(
 
 def print_json(found: Mapping[str, Any]) -> None:
     """Print one object on standard output; NaN and infinite numbers become null."""
-    print(json.dumps({"schema": SCHEMA, **_plain(found)}, allow_nan=False, indent=1))
+    print(json_text(found))
+
+
+def json_text(found: Mapping[str, Any]) -> str:
+    """One object with its schema as JSON; NaN and infinite numbers become null."""
+    return json.dumps({"schema": SCHEMA, **_plain(found)}, allow_nan=False, indent=1)
 
 
 def _plain(value: Any) -> Any:

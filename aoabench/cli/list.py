@@ -46,8 +46,8 @@ def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_
       aoabench list --fits ble_room
 
     With --json: `groups`, an object with an object {preset: description} for each group; of a
-    preset `parameters`, each with key, value, unit and help; with --fits `fits`, an object
-    {estimator: [noises]} for each group.
+    preset `parameters`, each with key, value, unit, help and allowed; with --fits `fits`, an
+    object {estimator: [noises]} for each group.
     """
     if config_dir and not Path(config_dir).is_dir():
         raise UserError(f"--config-dir={config_dir}: no such folder; allowed: an existing folder")

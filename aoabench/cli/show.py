@@ -13,8 +13,9 @@ from aoabench.cell import Cell
 from aoabench.cli.outcomes import not_ok, not_ok_text
 from aoabench.cli.tags import tags, tags_text, told
 from aoabench.columns import SUMMARY
+from aoabench.report.exported import differing
 from aoabench.report.tails import heavy_tails, heavy_tails_text
-from aoabench.report.text import NON_CAUSAL, interval_text, shown_name
+from aoabench.report.text import NON_CAUSAL, interval_text, metric_title, shown_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,12 +24,7 @@ if TYPE_CHECKING:
     from aoabench.studies.reproduce import Drawn
 
 _MOST_ROWS = 60
-_RMSE = {
-    "rmse_pooled_3d_m": "pooled RMSE 3-D [m]",
-    "rmse_mean_3d_m": "mean RMSE 3-D [m]",
-    "rmse_q50_3d_m": "median RMSE 3-D [m]",
-    "rmse_pooled_xy_m": "pooled RMSE xy [m]",
-}
+_RMSE = ("rmse_pooled_3d_m", "rmse_mean_3d_m", "rmse_q50_3d_m", "rmse_pooled_xy_m")
 
 
 @dataclass(frozen=True)
@@ -117,12 +113,12 @@ def _has_truth(cell: Cell) -> bool:
 
 def _table(found: Finished, mine: pd.DataFrame) -> str:
     """A line for each cell and estimator, with the parameters that differ between cells."""
-    swept = [c for c in found.parameters if mine[c].nunique(dropna=False) > 1]
+    swept = [c for c in differing(mine, ["scenario", "noise", *found.parameters]) if "." in c]
     shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
     shown["estimator"] = [shown_name(*row) for row in zip(mine["estimator"], mine["causal"])]
-    for name, title in _RMSE.items():
+    for name in _RMSE:
         three = zip(mine[name], mine[f"{name}_low"], mine[f"{name}_high"])
-        shown[title] = [interval_text(*values) for values in three]
+        shown[f"{metric_title(name)} [m]"] = [interval_text(*values) for values in three]
     named = {name: f"fixes {name}" for name in ("failed", "ok", "unmeasured", "imprecise")}
     for name, title in named.items():
         share = mine[f"share_{name}"]
@@ -167,6 +163,7 @@ def run_json(found: Finished) -> dict[str, Any]:
                 "seed": cell.seed,
                 "replications": cell.reps,
                 "config": cell.config,
+                "left_out": cell.left_out,
             }
             for cell in found.cells.values()
         ],

@@ -9,6 +9,8 @@ from typing import Any
 # a value between commas: in quotes, or up to the next comma
 _PIECE = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')\s*(?=,|$)|[^,]*""", re.DOTALL)
 _UNREADABLE = object()
+# a Windows network name, \\SERVER\SHARE, of which Hydra would read one backslash
+_SHARE = re.compile(r"(^|,)\s*\\\\")
 
 
 def quoted_names(parser: Any, value: str, sweep: bool) -> str:
@@ -17,7 +19,7 @@ def quoted_names(parser: Any, value: str, sweep: bool) -> str:
     """
     from hydra.core.override_parser.types import ChoiceSweep
 
-    found = _parsed_value(parser, value)
+    found = _UNREADABLE if _SHARE.search(value) else _parsed_value(parser, value)
     simple_sweep = isinstance(found, ChoiceSweep) and found.simple_form
     if simple_sweep and sweep and all(map(_stays, found.list)):
         return value

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from aoabench.devices.packets import Packets
+from aoabench.devices.tracks.packets import Packets
 from aoabench.maths.geometry import Array
 
 SAME_S = 1.0  # s; clocks that differ by less are taken as one

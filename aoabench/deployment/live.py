@@ -20,9 +20,9 @@ from aoabench.deployment.numbering import Numbering
 from aoabench.deployment.recursion import Method
 from aoabench.deployment.request import Asked
 from aoabench.deployment.windows import Late, Rule, some_of
-from aoabench.devices.combining import DISTINCT, combined
-from aoabench.devices.grouping import Groups, grouped
-from aoabench.devices.packets import Packets
+from aoabench.devices.tracks.combining import DISTINCT, combined
+from aoabench.devices.tracks.grouping import Groups, grouped
+from aoabench.devices.tracks.packets import Packets
 from aoabench.maths.geometry import Array
 from aoabench.types import Tracks
 

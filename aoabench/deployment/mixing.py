@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aoabench.devices.packets import Packets
-from aoabench.devices.table import Table
+from aoabench.devices.readers.table import Table
+from aoabench.devices.tracks.packets import Packets
 from aoabench.maths.geometry import Array
 
 

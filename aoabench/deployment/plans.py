@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from aoabench.deployment.request import Asked
-from aoabench.devices.plan import Frame, Plan, read_plan
+from aoabench.devices.plans.plan import Frame, Plan, read_plan
 from aoabench.errors import BadValue, UserError, did_you_mean
 
 KEYS = {"walls_unit": "unit", "walls_crs": "crs", "walls_layers": "layers"}

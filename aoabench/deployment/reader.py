@@ -15,9 +15,9 @@ import numpy as np
 
 from aoabench.deployment.mixing import joined, without_rows
 from aoabench.deployment.request import Asked, Request
-from aoabench.devices.live import Live
-from aoabench.devices.packets import Packets
-from aoabench.devices.reading import Content, Rows
+from aoabench.devices.readers.live import Live
+from aoabench.devices.readers.reading import Content, Rows
+from aoabench.devices.tracks.packets import Packets
 from aoabench.errors import BadValue, UserError
 
 BEGIN_S = 1.0  # s and bytes after which a mistake in the beginning is told: until then, more of

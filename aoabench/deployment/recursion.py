@@ -15,7 +15,7 @@ from aoabench.engine.tiles import checked
 from aoabench.errors import UserError
 from aoabench.filters.belief import Belief
 from aoabench.filters.divergence import Filtered
-from aoabench.filters.recursion import KalmanFilter
+from aoabench.filters.recursion import GaussianFilter
 from aoabench.maths.geometry import Array
 from aoabench.noise.recorded import Recorded as RecordedNoise
 from aoabench.roles import Estimator
@@ -47,7 +47,7 @@ class Method:
     states: dict[int, State] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        kept = isinstance(self.method, KalmanFilter) or "motion" not in self.method.needs
+        kept = isinstance(self.method, GaussianFilter) or "motion" not in self.method.needs
         if not (kept and self.method.causal):
             raise UserError(
                 f"LOG=-: {self.method.label} does not run on a stream; allowed: an estimator, an "
@@ -60,7 +60,7 @@ class Method:
 
     def solve(self, tracks: Tracks, numbers: np.ndarray) -> Solved:
         """The fixes of tracks with `numbers` (R,), which go on where the last call ended."""
-        if isinstance(self.method, KalmanFilter):
+        if isinstance(self.method, GaussianFilter):
             each = [self._step(self.method, tracks, i, int(n)) for i, n in enumerate(numbers)]
             pairs = zip(tracks.starts, (found.residuals for found in each))
             residuals = [replace(one, fix=one.fix + start) for start, one in pairs]
@@ -70,7 +70,7 @@ class Method:
         alone = self.scenario.with_tracks(whole)
         return solve(alone, RecordedNoise(), self.method, whole.counts)
 
-    def _step(self, method: KalmanFilter, tracks: Tracks, i: int, number: int) -> Solved:
+    def _step(self, method: GaussianFilter, tracks: Tracks, i: int, number: int) -> Solved:
         """The fixes of one track by a Kalman filter."""
         state = self.states.get(number)
         motion, start_s = self.scenario.motion, None if state is None else state.time

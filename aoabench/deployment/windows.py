@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from aoabench.devices.grouping import ROUNDING_S, Groups
-from aoabench.devices.packets import Packets
+from aoabench.devices.tracks.grouping import ROUNDING_S, Groups
+from aoabench.devices.tracks.packets import Packets
 from aoabench.maths.geometry import Array
 
 HOLD_S = 0.01

@@ -24,10 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aoabench.devices.columns import header, shown_columns
 from aoabench.devices.geodesy import Origin, check_degrees, degree_columns
 from aoabench.devices.locators import is_config, read_locators
-from aoabench.devices.table import Table
+from aoabench.devices.readers.columns import header, shown_columns
+from aoabench.devices.readers.table import Table
 from aoabench.errors import BadValue, did_you_mean
 from aoabench.maths.geometry import Array, euler
 from aoabench.types import Anchors

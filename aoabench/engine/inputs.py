@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aoabench.estimators.places import anchors_used
 from aoabench.maths.geometry import Array
 from aoabench.maths.linalg import blocks
 from aoabench.types import Batch, Estimates, Outcome
@@ -89,12 +90,7 @@ def _unmeasured(batch: Batch) -> np.ndarray:
 
 def heard(batch: Batch) -> np.ndarray:
     """The number (R, T) of different anchors that have an azimuth, an elevation or a delay."""
-    seen = ~_unmeasured(batch)
-    if batch.known is None and batch.anchor_id is not None:  # several places of an anchor
-        numbers = batch.anchor_id[0, 0]
-        each = [seen[..., numbers == one].any(axis=2) for one in np.unique(numbers)]
-        return np.asarray(np.sum(each, axis=0))
-    return np.asarray(seen.sum(axis=2))
+    return anchors_used(batch, ~_unmeasured(batch))
 
 
 _OF_Z = np.array([[False, False, True], [False, False, True], [True, True, True]])

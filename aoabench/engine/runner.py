@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,11 +45,22 @@ class RunReport:
     damaged: tuple[Path, ...] = ()
     precision: tuple[Mapping[str, Any], ...] = ()
 
+    def __repr__(self) -> str:
+        damaged = f", {len(self.damaged)} damaged" if self.damaged else ""
+        count = f"{self.computed} estimator-replications computed, {self.reused} reused{damaged}"
+        return f"RunReport({self.out}: {count}, {self.seconds:.3g} s)"
 
-def run(cells: Sequence[Cell], progress: bool | str = True, fresh: bool = False) -> RunReport:
-    """Compute the missing parts of all cells and make the tables. The cells share one runner.out.
-    With `fresh`, compute all of their parts and replace the stored ones. A text as `progress`
-    stands before the progress bar.
+
+def run(
+    cells: Sequence[Cell],
+    progress: bool | str = True,
+    fresh: bool = False,
+    tabulate: bool = True,
+) -> RunReport:
+    """Compute the missing parts of all cells, record the cells and make the tables. The cells share
+    one runner.out. With `fresh`, compute all of their parts and replace the stored ones. A text as
+    `progress` stands before the progress bar. Without `tabulate`, neither make tables nor measure
+    times; `collect` or the next run makes the tables.
 
     Raises UserError if the output folder cannot be written or holds anything but runs, or if code
     or a data file was changed after this process loaded it; RunError for an error during the run (a
@@ -64,7 +75,15 @@ def run(cells: Sequence[Cell], progress: bool | str = True, fresh: bool = False)
         for line in keys.notes:
             report(line)
         with locked(out, report) as lock:
-            return _Run(out, cells, keys, lock, progress, fresh).run()
+            return _Run(out, cells, keys, lock, progress, fresh).run(tabulate)
+
+
+def collect(out: Path, cells: Collection[str]) -> None:
+    """Make the tables of a folder whose cells `cells` were recorded by runs without tables. Raises
+    as `run` does.
+    """
+    with explained(out, KEPT), locked(out, report):
+        tables.collect(out, cells)
 
 
 class _Run:
@@ -94,8 +113,10 @@ class _Run:
         )
         self.computed = 0
 
-    def run(self) -> RunReport:
-        """Compute all cells and make the tables; RunError if a cell was stopped."""
+    def run(self, tabulate: bool) -> RunReport:
+        """Compute and record all cells, and make the tables if asked to; RunError if a cell was
+        stopped.
+        """
         begin = time.perf_counter()
         sweep(self.out, {key for one in self.keys.values() for key in one.values()})
         index.read(self.out, self.keys)  # raises before anything is computed
@@ -113,7 +134,7 @@ class _Run:
                 break
         self.lock.check()
         self.machines.compare(self.out, {key for one in self.keys.values() for key in one.values()})
-        reached = self._tabulate()
+        reached = self._record(tabulate)
         self.lock.check()
         if self.stopped:
             raise RunError("; ".join(self.stopped.values()))
@@ -229,10 +250,12 @@ class _Run:
         self.precision[cell.id] = rows
         return all(row["reached"] or math.isnan(row["mean"]) for row in rows.values())
 
-    def _tabulate(self) -> int:
-        """Make the tables and measure times; return the number of estimator-replications shown."""
+    def _record(self, tabulate: bool) -> int:
+        """Record the cells, and make the tables and measure times if asked to; return the number of
+        estimator-replications recorded.
+        """
         timings, shown = Timings(index.read(self.out, self.keys).timing()), 0
-        going = [cell for cell in self.cells if cell.id not in self.stopped]
+        going = [cell for cell in self.cells if tabulate and cell.id not in self.stopped]
         for cell in (c for c in going if c.reps < FEW):  # quickly measured
             timings.measure(cell, self.keys[cell.id])
         for cell in self.cells:
@@ -243,7 +266,8 @@ class _Run:
             shown += sum(reps.values())
             precision = self.precision.get(cell.id, {})
             record_cell(self.out, cell, keys, self.draws[cell.id], timings.known, reps, precision)
-        tables.collect(self.out, {cell.id for cell in self.cells})
+        if tabulate:
+            tables.collect(self.out, {cell.id for cell in self.cells})
         late: dict[str, Any] = {}
         for cell in going:
             late |= timings.measure(cell, self.keys[cell.id])

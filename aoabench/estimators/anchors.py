@@ -6,13 +6,14 @@ Table 1].
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from aoabench.errors import BadValue, Unfit, check_number
 from aoabench.estimators.parameters import clip_param, height_param, horizon_param
+from aoabench.estimators.places import anchors_used
 from aoabench.estimators.plane import clipped, in_plane, on_plane, plane_of, ray_covariances
 from aoabench.estimators.rays import Rays, angular_variance, rays
 from aoabench.maths.geometry import Array
@@ -192,4 +193,6 @@ class AnchorMean(_OnPlane):
             else:
                 P = np.where(known[..., None, None], found.covariance, 0.0).sum(axis=2)
                 P = P / (n**2)[..., None, None]
-        return in_plane(mean, P, score, found.rays.of(known), found.anchors, found.height)
+        used = found.rays.of(known)
+        estimates = in_plane(mean, P, score, used, found.anchors, found.height)
+        return replace(estimates, anchors_used=anchors_used(batch, used.used))

@@ -12,6 +12,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 
 from aoabench.errors import Unfit
+from aoabench.estimators.places import anchors_used, several
 from aoabench.estimators.rays import is_deviation, judged, measured_reason
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import LIGHT, Array, to_unit
@@ -53,17 +54,15 @@ class WeightedCentroid(Compiled, Estimator):
         if compiled is None:
             return self._estimates(batch, batch.delay, batch.delay_sigma)
         position, P, used, outcome, reason = compiled.run(batch, self.as_printed)
+        if several(batch):  # the kernel counts columns
+            used = anchors_used(batch, _usable(batch, batch.delay, batch.delay_sigma))
         stated = batch.azimuth_sigma is not None and batch.elevation_sigma is not None
         return Estimates(position, P if stated else None, None, outcome, None, used, reason)
 
     def _estimates(self, batch: Batch, delay: Array, delay_sigma: Array) -> Estimates:
         """The kernel's estimates in NumPy."""
         R, T, B = batch.azimuth.shape
-        measured = (batch.azimuth, batch.elevation, delay)
-        sigmas = (batch.azimuth_sigma, batch.elevation_sigma, delay_sigma)
-        usable = np.isfinite(batch.azimuth)
-        for value, sigma in zip(measured, sigmas):
-            usable &= np.isfinite(value) & is_deviation(sigma)
+        usable = _usable(batch, delay, delay_sigma)
         r, k, b = np.nonzero(usable)
         azimuth = batch.azimuth[r, k, b]
         s, rotation = (
@@ -93,8 +92,15 @@ class WeightedCentroid(Compiled, Estimator):
             own = batch.anchors.position_sigma
             own = None if own is None else np.broadcast_to(own, (R, T, B, 3))[r, k, b].T
             P = _weighted(axes, own, w, fix, total).reshape(R, T, 3, 3)
-        used, position = usable.sum(-1).astype(float), position.reshape(R, T, 3)
+        used, position = anchors_used(batch, usable), position.reshape(R, T, 3)
         return Estimates(position, P, None, outcome, None, used, reason)
+
+
+def _usable(batch: Batch, delay: Array, delay_sigma: Array) -> np.ndarray:
+    """Mask (R, T, B) of the ANs that measured a time and both angles."""
+    usable = np.isfinite(batch.azimuth) & is_deviation(batch.azimuth_sigma)
+    usable &= np.isfinite(batch.elevation) & is_deviation(batch.elevation_sigma)
+    return np.asarray(usable & np.isfinite(delay) & is_deviation(delay_sigma))
 
 
 def _axes(at: tuple[Array, ...], sigmas: tuple[Array, ...], rotation: Array) -> Array:

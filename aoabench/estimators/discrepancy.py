@@ -19,6 +19,7 @@ import numpy as np
 from aoabench.errors import BadValue, check_number
 from aoabench.estimators import ellipses
 from aoabench.estimators.parameters import clip_param, height_param, horizon_param
+from aoabench.estimators.places import places
 from aoabench.estimators.plane import clipped, plane_of
 from aoabench.estimators.rays import POLE
 from aoabench.kernels.loading import Compiled, engine_param
@@ -118,8 +119,9 @@ class Discrepancy(Compiled, Estimator):
             np.empty((R, T), dtype=np.int8),
             np.empty((R, T)),
         )
+        place = np.broadcast_to(places(batch), batch.azimuth.shape)
         for i in range(R):
-            given = batch.azimuth[i], batch.elevation[i], batch.anchors.of(i), height
+            given = batch.azimuth[i], batch.elevation[i], batch.anchors.of(i), place[i], height
             into = tuple(a[i] for a in found)
             if compiled is None:
                 self.fixes(*given, *into)
@@ -153,6 +155,7 @@ class Discrepancy(Compiled, Estimator):
         azimuth: Array,
         elevation: Array,
         anchors: Anchors,
+        place: np.ndarray,
         height: float,
         *found: np.ndarray,
     ) -> None:
@@ -173,17 +176,24 @@ class Discrepancy(Compiled, Estimator):
             *angles,
             s,
             R,
+            place[0].astype(np.int64),
             height,
             *found,
         )
 
     def fixes(
-        self, azimuth: Array, elevation: Array, anchors: Anchors, height: float,
-        position: Array, covariance: Array, outcome: np.ndarray, used: Array,
-    ) -> None:  # fmt: skip
+        self,
+        azimuth: Array,
+        elevation: Array,
+        anchors: Anchors,
+        place: np.ndarray,
+        height: float,
+        *found: np.ndarray,
+    ) -> None:
         """Fill in position (N, 3) m, covariance (N, 3, 3) m^2, outcome and number of anchors used
-        (N,) from angles (N, B) rad.
+        (N,) from angles (N, B) rad of anchors in places (N, B).
         """
+        position, covariance, outcome, used = found
         position[:], covariance[:], outcome[:], used[:] = np.nan, np.nan, Outcome.FAILED, 0
         missing = ~(np.isfinite(azimuth) & np.isfinite(elevation))
         azimuth, elevation = (np.where(missing, 0.0, a) for a in (azimuth, elevation))
@@ -196,7 +206,8 @@ class Discrepancy(Compiled, Estimator):
             known = np.flatnonzero(~missing[k])
             if len(known):
                 chosen = known[self.selected(m[k, known], L[k, known])]
-                used[k], outcome[k] = len(chosen), Outcome.OK if len(chosen) else Outcome.REJECTED
+                used[k] = len(np.unique(place[k, chosen]))
+                outcome[k] = Outcome.OK if len(chosen) else Outcome.REJECTED
                 if len(chosen):
                     position[k, :2], covariance[k, :2, :2] = ellipses.fused(
                         m[k, chosen], L[k, chosen]

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from aoabench.estimators.packed import calls, padded, padded_anchors
+from aoabench.estimators.places import anchors_used, several
 from aoabench.estimators.rays import (
     apart,
     behind,
@@ -117,6 +118,8 @@ def by_kernel(
     for one in calls(angles, anchors, (x, P, outcome, reason, count, used)):
         compiled.gauss_newton(*options, *one)
     iterations = count if updates else None
+    if several(batch):  # the kernel counts columns
+        used = anchors_used(batch, measured(batch)[2] > 0)
     return Estimates(x + centre[:, :, 0], P, iterations, outcome, None, used, reason)
 
 
@@ -165,7 +168,7 @@ def planes(batch: Batch, rows: str = "invariant") -> Estimates:
     )
     P = _covariance(batch, (phi, theta, wa, we), a, A, p, rows)
     P = np.where(found[..., None, None], P, np.nan)
-    return Estimates(p, P, None, outcome, None, used.sum(axis=-1).astype(float), reason)
+    return Estimates(p, P, None, outcome, None, anchors_used(batch, used), reason)
 
 
 def usable(batch: Batch, wa: Array, we: Array) -> Batch:

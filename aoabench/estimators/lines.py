@@ -21,6 +21,7 @@ import numpy as np
 
 from aoabench.estimators.packed import calls, corners, measured_rays, padded_anchors
 from aoabench.estimators.parameters import clip_param
+from aoabench.estimators.places import anchors_used, several
 from aoabench.estimators.plane import clipped
 from aoabench.estimators.rays import (
     Rays,
@@ -181,18 +182,23 @@ class AnchorDiscarding(Compiled, Estimator):
         if compiled is not None:
             bounds = corners(scenario, self.clip)
             return _by_kernel(compiled, batch, bounds, self.threshold_m)
-        r, s = rays(batch), batch.anchors.position
-        used = r.used
-        for _ in range(used.shape[-1] - 2):
-            d = distances(r, s, nearest_point(r, s).position)
-            n = used.sum(axis=-1)
-            bad = (n > 2) & ((d**2).sum(axis=-1) > n * self.threshold_m**2)
-            if not bad.any():
-                break
-            worst = np.arange(used.shape[-1]) == d.argmax(axis=-1)[..., None]
-            used &= ~(worst & bad[..., None])
-            r = r.of(used)
+        r = _kept(rays(batch), batch.anchors.position, self.threshold_m)
         return _estimates(batch, r, scenario, self.clip)
+
+
+def _kept(r: Rays, s: Array, threshold_m: float) -> Rays:
+    """The rays of anchors s (R|1, T|1, B, 3) m that are left when anchors have been discarded."""
+    used = r.used
+    for _ in range(used.shape[-1] - 2):
+        d = distances(r, s, nearest_point(r, s).position)
+        n = used.sum(axis=-1)
+        bad = (n > 2) & ((d**2).sum(axis=-1) > n * threshold_m**2)
+        if not bad.any():
+            break
+        worst = np.arange(used.shape[-1]) == d.argmax(axis=-1)[..., None]
+        used &= ~(worst & bad[..., None])
+        r = r.of(used)
+    return r
 
 
 def _by_kernel(compiled: ModuleType, batch: Batch, bounds: Array, threshold_m: float) -> Estimates:
@@ -206,6 +212,8 @@ def _by_kernel(compiled: ModuleType, batch: Batch, bounds: Array, threshold_m: f
     anchors = padded_anchors(known.position, known.rotation, compiled.LANES)
     for one in calls(angles, anchors, (x, P, outcome, reason, score, used)):
         compiled.nearest_points(threshold_m, B, stated, bounds, *one)
+    if several(batch):  # the kernel counts columns
+        used = anchors_used(batch, _kept(rays(batch), known.position, threshold_m).used)
     return Estimates(x, P, None, outcome, score, used, reason)
 
 
@@ -224,4 +232,4 @@ def _estimates(batch: Batch, r: Rays, scenario: Scenario, clip: bool) -> Estimat
     position = np.concatenate([clipped(p[..., :2], scenario, clip), p[..., 2:]], axis=-1)
     failed = measured_reason(r.used, 2, ~distinct)
     outcome, reason = judged(solved, behind(r.ahead, s, position), failed)
-    return Estimates(position, P, None, outcome, score, n.astype(float), reason)
+    return Estimates(position, P, None, outcome, score, anchors_used(batch, r.used), reason)

@@ -1,9 +1,10 @@
-"""The places in which anchors that move have measured."""
+"""The places in which anchors have measured, and how many of them a fix uses."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from aoabench.maths.geometry import Array
 from aoabench.types import Batch
 
 SAME_M = 0.5  # m; an anchor that has moved by less stands in one place
@@ -26,3 +27,25 @@ def places(batch: Batch) -> np.ndarray:
         near &= (numbers == numbers[..., b : b + 1]) & (found < 0) & (found[..., b : b + 1] < 0)
         found[near] = b
     return found
+
+
+def distinct_places(used: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """The number (...,) of different places among those used (..., B), by their numbers (..., B) of
+    at least 0.
+    """
+    mine = np.sort(np.where(used, place, -1), axis=-1)
+    return np.asarray((np.diff(mine, axis=-1, prepend=-1) > 0).sum(axis=-1))
+
+
+def several(batch: Batch) -> bool:
+    """Whether an anchor may have several columns: one for each of its packets in a fix."""
+    return batch.known is None and batch.anchor_id is not None
+
+
+def anchors_used(batch: Batch, used: np.ndarray) -> Array:
+    """The number (R, T) of different anchors among the columns that are used (R, T, B); an anchor
+    that moves counts once for each place.
+    """
+    if not several(batch):
+        return used.sum(axis=-1).astype(float)
+    return distinct_places(used, places(batch)).astype(float)

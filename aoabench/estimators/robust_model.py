@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from aoabench.estimators.losses import Loss
+from aoabench.estimators.places import distinct_places
 from aoabench.kernels.robust_limits import FLAT, STEEP, TINY
 from aoabench.maths.geometry import Array, to_unit, wrap
 from aoabench.maths.linalg import solve
@@ -95,7 +96,7 @@ def prepared(
     g = (A @ s[..., None])[..., 0]
     slot, unknowns = slots(used, numbers), np.where(flat, 2, 3)
     redundancy = (1 * used + line + (wr > 0)).sum(axis=1) - unknowns
-    different = sum(anchors(kind, slot) for kind in (used, line, wr > 0)) - unknowns
+    different = sum(distinct_places(kind, slot) for kind in (used, line, wr > 0)) - unknowns
     f = Fixes(phi, theta, wa, we, r, wr, s, R, flat, z, u, slot, redundancy, different)
     return f, Lines(A, g), centre
 
@@ -110,12 +111,6 @@ def slots(used: np.ndarray, numbers: Array | None) -> np.ndarray:
     first = same.argmax(axis=2)
     place = (used & (first == np.arange(used.shape[1]))).cumsum(axis=1) - 1
     return np.where(used, np.take_along_axis(place, first, axis=1), -1)
-
-
-def anchors(used: np.ndarray, slot: np.ndarray) -> np.ndarray:
-    """The number (N,) of different anchors among those used (N, B), by their slots (N, B)."""
-    mine = np.sort(np.where(used, slot, -1), axis=1)
-    return np.asarray((np.diff(mine, axis=1, prepend=-1) > 0).sum(axis=1))
 
 
 def _turned(u: Array, R: Array) -> Array:

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from aoabench.estimators.losses import NORMAL, TRUNCATED, Loss
+from aoabench.estimators.places import distinct_places
 from aoabench.estimators.rays import FAR, apart, measured_reason
-from aoabench.estimators.robust_model import Fixes, Lines, anchors, prepared, state
+from aoabench.estimators.robust_model import Fixes, Lines, prepared, state
 from aoabench.kernels.robust_limits import (
     EVEN,
     GAIN,
@@ -215,4 +216,4 @@ def _judged(
     P[f.flat, 2] = P[f.flat, :, 2] = np.nan
     number = np.maximum((1 * (f.wa > 0) + (f.we > 0) + (f.wr > 0)).sum(axis=1), 1)
     score = np.where(f.redundancy > 0, np.sqrt(2.0 * at.cost / number), np.nan)
-    return P, score, anchors(used, f.slot).astype(float)
+    return P, score, distinct_places(used, f.slot).astype(float)

@@ -20,6 +20,7 @@ from aoabench.errors import Unfit
 from aoabench.estimators.lines import nearest_point
 from aoabench.estimators.packed import calls, corners, measured_rays, padded_anchors
 from aoabench.estimators.parameters import clip_param, tolerance_param, updates_param
+from aoabench.estimators.places import anchors_used, several
 from aoabench.estimators.plane import clipped, on_plane, plane_of
 from aoabench.estimators.rays import (
     FAR,
@@ -105,6 +106,8 @@ class VmfLikelihood(Compiled, Estimator):
         anchors = padded_anchors(known.position, known.rotation, compiled.LANES)
         for one in calls(angles, anchors, (x, P, outcome, reason, score, used, count)):
             compiled.vmf_minima(*options, *one)
+        if several(batch):  # the kernel counts columns
+            used = anchors_used(batch, rays(batch).line)
         return Estimates(x, P, count, outcome, score, used, reason)
 
     def in_numpy(self, batch: Batch, scenario: Scenario, height: float | None) -> Estimates:
@@ -177,7 +180,7 @@ class VmfLikelihood(Compiled, Estimator):
             found.updates.reshape(shape),
             outcome,
             np.where(n > 1, score, np.nan),
-            n.astype(float),
+            anchors_used(batch, r.line),
             reason.astype(np.int8),
         )
 

@@ -35,18 +35,18 @@ from aoabench.errors import Unfit
 from aoabench.filters.belief import Belief, believed
 from aoabench.filters.divergence import Filtered
 from aoabench.filters.heard import heard_alone
-from aoabench.filters.recursion import KalmanFilter, Recursion
+from aoabench.filters.recursion import GaussianFilter, Recursion
 from aoabench.filters.roots import EPS, absorb, covariance, moved, near, predicted, prior_root
 from aoabench.filters.trace import innovations
 from aoabench.kernels.limits import ROUNDED
-from aoabench.kernels.loading import engine_param
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import LIGHT, Array, wrap
 from aoabench.maths.places import at_anchors
 from aoabench.models.components import LEAST_VARIANCE, unstated_param, with_deviations
 from aoabench.params import param
 from aoabench.roles import NEEDS, Scenario
 from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates
+from aoabench.types import Anchors, Batch
 
 KERNELS = "kernels.access_nodes"
 PRINTED = ("jacobian", "wrap", "shared", "cross")
@@ -55,7 +55,7 @@ RHO2_FLOOR = 1e-12  # m^2: guards the azimuth's derivative above and below an AN
 
 
 @dataclass(frozen=True)
-class AccessNodeEKF(KalmanFilter):
+class AccessNodeEKF(Compiled, GaussianFilter):
     """EKF with times and angles of arrival, or angles alone.
 
     An AN on the predicted mean, or nearer than 0.001 of its standard deviation, has no meaningful
@@ -83,14 +83,6 @@ class AccessNodeEKF(KalmanFilter):
     @property
     def needs(self) -> frozenset[str]:
         return frozenset({"motion", "prior"} | ({"delay"} if self.toa else set()))
-
-    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2.
-
-        A fix is DIVERGED, and keeps its position, for one of the reasons of `filters.divergence`.
-        """
-        filtered, belief = self.recursion(batch, scenario)
-        return self.outcomes(filtered, None, batch.layout, belief)
 
     def recursion(self, batch: Batch, scenario: Scenario, whole: bool = False) -> Recursion:
         belief = believed(batch, scenario)

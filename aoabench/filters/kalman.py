@@ -20,37 +20,29 @@ from typing import ClassVar
 
 import numpy as np
 
-from aoabench.filters.belief import Belief, believed
+from aoabench.filters.belief import Belief
 from aoabench.filters.compiled import COMPONENTS, kind_of
 from aoabench.filters.divergence import Filtered
-from aoabench.filters.recursion import KalmanFilter, Recursion
-from aoabench.filters.roots import absorb, covariance, moved, near, predicted, prior_root
-from aoabench.filters.trace import innovations
-from aoabench.kernels.loading import engine_param
+from aoabench.filters.gaussian import Gaussian
+from aoabench.filters.recursion import KalmanFilter
+from aoabench.filters.roots import near, prior_root
+from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
 from aoabench.models.azel import AzEl
 from aoabench.models.unit_vector import UnitVector
 from aoabench.params import param
-from aoabench.roles import Filter, Measurement, Scenario
-from aoabench.streams import Streams
-from aoabench.types import Anchors, Batch, Estimates
+from aoabench.types import Anchors, Batch
 
 KERNELS = "kernels.kalman"
-Posterior = tuple[Array, Array]  # mean (R, n) and a square root (R, n, k) of its covariance
 Innovation = tuple[Array, Array, Array, Array]  # B, f, v, r of `roots.absorb`
 
 
 @dataclass(frozen=True)
-class _Kalman(KalmanFilter, Filter):
-    """Recursion of EKF and UKF, with the scenario's motion model and prior."""
+class _Kalman(Compiled, KalmanFilter):
+    """Recursion of EKF and UKF, in kernels where these have the measurement model."""
 
-    measurement: Measurement = param(
-        help="measurement model that the filter assumes", kind=Measurement
-    )
     _: KW_ONLY
     engine: str = engine_param()
-    by_replication = True
-    heard_only = True
     per_step = True
     kernels = KERNELS
     finest: ClassVar[float] = 0.0  # the kernel's least variance
@@ -60,26 +52,12 @@ class _Kalman(KalmanFilter, Filter):
         if self.kind() is not None:
             super().prepare(say)
 
-    def __call__(self, batch: Batch, scenario: Scenario, streams: Streams) -> Estimates:
-        """Filtered positions (R, T, 3) m and covariances (R, T, 3, 3) m^2.
-
-        A fix is DIVERGED, and keeps its position, for one of the reasons of `filters.divergence`.
-        """
-        filtered, belief = self.recursion(batch, scenario)
-        return self.outcomes(filtered, None, batch.layout, belief)
-
-    def recursion(self, batch: Batch, scenario: Scenario, whole: bool = False) -> Recursion:
-        belief = believed(batch, scenario)
-        return self.filtered(batch, belief, belief.size if whole else 3), belief
-
     def filtered(self, batch: Batch, belief: Belief, size: int = 3) -> Filtered:
         """The state's first `size` components, by the kernel if there is one, else in NumPy."""
-        belief = belief._replace(covariance=prior_root(belief.covariance))
         given = self._given(batch)
         if given is None:
-            with np.errstate(all="ignore"):  # deviations that are 0 or infinite are not measured
-                observed = self.measurement.observe(batch)
-                return self._recursion(batch.anchors, belief, *observed, size=size)
+            return self._filtered(batch, belief, size)
+        belief = belief._replace(covariance=prior_root(belief.covariance))
         kernels, kind, measured = given
         R, T = batch.azimuth.shape[:2]
         out = np.empty((R, T, size)), np.empty((R, T, size, size)), np.empty((R, T))
@@ -103,49 +81,9 @@ class _Kalman(KalmanFilter, Filter):
             return None
         return kernels, kind, (batch.azimuth, batch.elevation, *constant(*deviations))
 
-    def trace(self, batch: Batch, scenario: Scenario, streams: Streams) -> dict[str, Array]:
-        """Innovations (R, T) at the predicted mean, by component."""
-        seen: list[Array] = []
-        belief = believed(batch, scenario)
-        belief = belief._replace(covariance=prior_root(belief.covariance))
-        with np.errstate(all="ignore"):
-            self._recursion(batch.anchors, belief, *self.measurement.observe(batch), seen)
-        return innovations(np.stack(seen, axis=1), batch.azimuth.shape[2])
-
-    def _recursion(
-        self,
-        anchors: Anchors,
-        belief: Belief,
-        Y: Array,
-        quality: Array,
-        seen: list[Array] | None = None,
-        size: int = 3,
-    ) -> Filtered:
-        """`filtered` in NumPy, for any measurement model; the covariance of `belief` is a square
-        root, and innovations (R, m) are appended to `seen`.
-        """
-        h, x = self.measurement, np.asarray(belief.mean)
-        B = np.broadcast_to(belief.covariance, (*x.shape, x.shape[-1]))
-        means, covariances, nis = [], [], []
-        with np.errstate(all="ignore"):  # overflow becomes NaN and is counted as failed
-            for k in range(Y.shape[1]):
-                here = anchors.at(k)
-                F, Q = belief.at(k)
-                x, L = moved(x, F), predicted(B, F, Q)
-                if seen is not None:
-                    seen.append(h.residual(Y[:, k], h.predict(x, here)))
-                x, B, squared = absorb(x, *self.innovation(x, L, Y[:, k], quality[:, k], here))
-                means.append(x[:, :size])
-                covariances.append(covariance(B[:, :size]))
-                nis.append(squared)
-        position, P, squares = (np.stack(each, axis=1) for each in (means, covariances, nis))
-        return Filtered(position, P, squares, np.isfinite(Y).sum(axis=-1))
-
-    def update(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Posterior:
-        """Posterior mean (R, n) and a square root (R, n, k) of its covariance; arguments as for
-        `innovation`.
-        """
-        return absorb(x, *self.innovation(x, L, y, r, anchors))[:2]
+    def update(self, prior: Gaussian, y: Array, r: Array, anchors: Anchors) -> Gaussian:
+        B, f, v, R = self.innovation(prior.mean, prior.root, y, r, anchors)
+        return Gaussian(prior.mean, B).given_root(v, f, R)
 
     def innovation(self, x: Array, L: Array, y: Array, r: Array, anchors: Anchors) -> Innovation:
         """B (R, n, k), f (R, k, m), v (R, m) and variances (R, m) with the state x + B z,

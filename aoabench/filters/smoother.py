@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aoabench.filters.belief import Belief
-from aoabench.filters.recursion import KalmanFilter
+from aoabench.filters.recursion import GaussianFilter
 from aoabench.filters.roots import EPS
 from aoabench.kernels.loading import load, prepare
 from aoabench.maths.geometry import Array
@@ -42,9 +42,9 @@ class RTSSmoother(Estimator):
     covariances and by the filter's innovations.
     """
 
-    filter: KalmanFilter = param(
+    filter: GaussianFilter = param(
         help="Kalman filter of the forward pass",
-        kind=KalmanFilter,
+        kind=GaussianFilter,
         allowed="a Kalman filter, such as aoabench.filters.kalman.EKF",
     )
     causal = False

@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from aoabench.resources import lock
 from aoabench.types import Outcome, Reason
 
 
@@ -87,10 +88,8 @@ def alone(folder: Path | None, kernel: str) -> Iterator[None]:
         yield
         return
     with (folder / f"{kernel}.lock").open("a", encoding="ascii") as file:
-        with suppress(ImportError, OSError):
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX)
+        with suppress(OSError):
+            lock(file.fileno(), wait=True)
         yield
         if not file.tell():
             file.write("compiled")

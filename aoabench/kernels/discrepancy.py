@@ -52,6 +52,18 @@ def count(M):
 
 
 @inlined
+def different(M, n, at):
+    """Number of different places `at` (n,) in the set M (all n if M is negative)."""
+    found = 0
+    for i in range(n):
+        new = M < 0 or has(M, i, n)
+        for j in range(i):
+            new &= not ((M < 0 or has(M, j, n)) and at[i] == at[j])
+        found += 1 if new else 0
+    return found
+
+
+@inlined
 def insert(M, sets, found):
     """Insert M into the first `found` of `sets` and return their new number.
 
@@ -225,6 +237,7 @@ ARGUMENTS = (
     given(1),
     types.float64,
     *(given(d) for d in (2, 2, 2, 3)),
+    types.Array(types.int64, 1, "C", readonly=True),
     types.float64,
     types.float64[:, ::1],
     types.float64[:, :, ::1],
@@ -245,6 +258,7 @@ def discrepancy(
     elevation,
     s,
     R,
+    place,
     height,
     position,
     covariance,
@@ -257,14 +271,14 @@ def discrepancy(
     centre: MIDPOINT or ESTIMATE; intersection: BOXES, EXACT or NO_VOTE; ties: AREA or FIRST; least:
     tangent of the smallest angle between ray and plane; sines (4,): sin, cos of the azimuth's
     deviation, then of the elevation's; minimum: lower limit m of the half-axes; s (B, 3) m and
-    R (B, 3, 3) of the anchors; height m of the plane.
+    R (B, 3, 3) of the anchors, and the number of each one's place (B,); height m of the plane.
     """
     N, J = azimuth.shape
     V = min(J, MOST)
     block, e = np.empty((J, ROWS, BLOCK)), np.empty((ROWS, J))
     angles = np.empty((2, BLOCK))
     masks, sets = np.empty((2, V), np.int64), np.empty(2 * V * V + 1, np.int64)
-    order = np.empty(J, np.int64)
+    order, at = np.empty(J, np.int64), np.empty(J, np.int64)
     points, number, t = np.empty((2, V, V, 4)), np.empty((V, V), np.int64), np.empty(4 * V + 2)
     for start in range(0, N, BLOCK):
         size = min(BLOCK, N - start)
@@ -280,6 +294,7 @@ def discrepancy(
                 if math.isfinite(block[j, MX, k]) and math.isfinite(block[j, MY, k]):
                     for l in range(ROWS):
                         e[l, n] = block[j, l, k]
+                    at[n] = place[j]
                     n += 1
             M, found = -1, 1
             if intersection == BOXES:
@@ -312,4 +327,4 @@ def discrepancy(
                     ahead = e[AX, j] * x + e[AY, j] * y + e[AC, j]
                     if (M < 0 or has(M, j, n)) and ahead < 0.0:
                         outcome[i] = DIVERGED
-                used[i] = n if M < 0 else count(M)
+                used[i] = different(M, n, at)

@@ -76,13 +76,11 @@ def cdf(
     reach = 0.0
     for i, (name, e) in enumerate(errors.items()):
         e = np.asarray(e, dtype=float)
-        given = np.sort(e[np.isfinite(e)])
+        given = e[np.isfinite(e)]
         share = len(given) / max(len(e), 1)
         middle = f"median {np.median(given):.3g} m, " if len(given) else ""
-        rank = np.unique(np.linspace(0, len(given), MOST_DRAWN).astype(int))
         line = axis.step(
-            np.concatenate([[0.0], given])[rank],
-            rank / max(len(e), 1),
+            *distribution(e),
             where="post",
             linestyle=STYLES[i % len(STYLES)],
             label=f"{name}: {middle}{share:.1%} of fixes",
@@ -96,6 +94,15 @@ def cdf(
     axis.set_xlim(0, 1.05 * reach or 1.0)
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1 if len(errors) < 7 else 2)
     return figure
+
+
+def distribution(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the distribution of errors (N,), of which at most MOST_DRAWN are kept: errors (K,)
+    from 0 on, and the share (K,) of all N that is at most as large.
+    """
+    given = np.sort(errors[np.isfinite(errors)])
+    rank = np.unique(np.linspace(0, len(given), MOST_DRAWN).astype(int))
+    return np.concatenate([[0.0], given])[rank], rank / max(len(errors), 1)
 
 
 def median_maps(

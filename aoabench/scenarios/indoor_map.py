@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from aoabench import loaded
-from aoabench.devices import plan
 from aoabench.devices.anchors import SCHEMA
-from aoabench.devices.drawing import UNITS
-from aoabench.devices.floor_plan import FloorPlan
 from aoabench.devices.geodesy import Origin
-from aoabench.devices.routes import Route, waypoints
+from aoabench.devices.plans import plan
+from aoabench.devices.plans.drawing import UNITS
+from aoabench.devices.plans.floor_plan import FloorPlan
+from aoabench.devices.plans.routes import Route, waypoints
 from aoabench.errors import BadValue
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
@@ -40,10 +40,10 @@ def _prior_sigma(default: float, help: str, unit: str) -> Any:
 class IndoorMap(Scenario):
     """One trip along a route at constant horizontal speed, with corners rounded to arcs.
 
-    The height is linear along the route. `devices.anchors` and `devices.plan` describe the files.
-    An AN on a wall sees into the side that it faces (`devices.sight`). The network reports the
-    nearest ANs in line of sight (seen from above), by true distance; their signals are the
-    strongest. Filters start from a mean position drawn around the true start, and from velocity
+    The height is linear along the route. `devices.anchors` and `devices.plans.plan` describe the
+    files. An AN on a wall sees into the side that it faces (`devices.plans.sight`). The network
+    reports the nearest ANs in line of sight (seen from above), by true distance; their signals are
+    the strongest. Filters start from a mean position drawn around the true start, and from velocity
     and acceleration 0. With `truth_from: model` the true states are drawn from the prior at the
     first waypoint and from `motion`, so that the filters' model is exact.
     """

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from aoabench.devices import identity, log
 from aoabench.devices.anchors import AnchorsFile, read_anchors
-from aoabench.devices.formats import opened
 from aoabench.devices.geodesy import Origin
-from aoabench.devices.naming import chosen_columns, default_names
-from aoabench.devices.packets import names_of
-from aoabench.devices.poses import DEFAULTS, DEGREES, METRES, TURNS, check_columns, receivers
-from aoabench.devices.reading import Content
-from aoabench.devices.table import Table
+from aoabench.devices.readers.formats import opened
+from aoabench.devices.readers.reading import Content
+from aoabench.devices.readers.table import Table
+from aoabench.devices.tracks import identity, log
+from aoabench.devices.tracks.naming import chosen_columns, default_names
+from aoabench.devices.tracks.packets import names_of
+from aoabench.devices.tracks.poses import DEFAULTS, DEGREES, METRES, TURNS, check_columns, receivers
 from aoabench.errors import BadValue, listed
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_parameters import LogParameters

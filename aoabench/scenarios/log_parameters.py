@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from aoabench.devices import log
-from aoabench.devices.columns import EXISTING
-from aoabench.devices.combining import COMBINE
-from aoabench.devices.formats import FORMATS
-from aoabench.devices.grouping import WINDOWS
-from aoabench.devices.moments import SECONDS
-from aoabench.devices.reading import ANCHOR, Reading
+from aoabench.devices.readers.columns import EXISTING
+from aoabench.devices.readers.formats import FORMATS
+from aoabench.devices.readers.reading import ANCHOR, Reading
+from aoabench.devices.tracks import log
+from aoabench.devices.tracks.combining import COMBINE
+from aoabench.devices.tracks.grouping import WINDOWS
+from aoabench.devices.tracks.moments import SECONDS
 from aoabench.models.motion import NAMED
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario

@@ -1,7 +1,7 @@
 """A user's own recording: tracks of tags from a log and, if recorded, their true positions.
 
-`devices.log` converts a log's columns to aoabench's conventions, `devices.grouping` and
-`devices.combining` make fixes of its packets.
+`devices.tracks` converts a log's columns to aoabench's conventions (`log`) and makes fixes of its
+packets (`grouping`, `combining`).
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aoabench import loaded
-from aoabench.devices import identity
 from aoabench.devices.anchors import AnchorsFile
-from aoabench.devices.combining import Combined, combined
-from aoabench.devices.extent import Thing, check_anchors
-from aoabench.devices.formats import opened
-from aoabench.devices.grouping import grouped, tracks
-from aoabench.devices.naming import unread
-from aoabench.devices.packets import Given, Packets, read_packets
-from aoabench.devices.plain import plain_rows
-from aoabench.devices.poses import placed
-from aoabench.devices.reading import Content
-from aoabench.devices.table import Table
-from aoabench.devices.truth import read_truth
+from aoabench.devices.plans.extent import Thing, check_anchors
+from aoabench.devices.readers.formats import opened
+from aoabench.devices.readers.plain import plain_rows
+from aoabench.devices.readers.reading import Content
+from aoabench.devices.readers.table import Table
+from aoabench.devices.tracks import identity
+from aoabench.devices.tracks.combining import Combined, combined
+from aoabench.devices.tracks.grouping import grouped, tracks
+from aoabench.devices.tracks.naming import unread
+from aoabench.devices.tracks.packets import Given, Packets, read_packets
+from aoabench.devices.tracks.poses import placed
+from aoabench.devices.tracks.truth import read_truth
 from aoabench.errors import BadValue, check_array
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array

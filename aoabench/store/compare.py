@@ -147,6 +147,13 @@ def _replications(frame: pd.DataFrame, baseline: str | None, metric: str) -> pd.
     if baseline is not None and baseline not in names:
         hint = did_you_mean(baseline, names) or f"; allowed: {', '.join(names)}"
         raise UserError(f"baseline={baseline}: not in this run{hint}")
+    return with_failures(frame)
+
+
+def with_failures(frame: pd.DataFrame) -> pd.DataFrame:
+    """The replications with the column failure_rate added: 1 where a fix failed or diverged, else
+    0.
+    """
     frame[FAILURES] = frame["outcome"].isin(["failed", "diverged"]).astype(float)
     return frame
 

@@ -41,6 +41,12 @@ class Comparison:
     pair: Paired
     by: str
 
+    def __repr__(self) -> str:
+        pair = f"{self.estimator} against {self.baseline}"
+        means = f"{self.mean:.4g} and {self.baseline_mean:.4g}"
+        change = self._change(*self.change, "+")
+        return f"Comparison({self.metric} of {pair}: {means}, {change}, {self._count()})"
+
     @property
     def unit(self) -> str:
         """Unit of the change: %, percentage points, or the metric's own if the baseline is 0."""

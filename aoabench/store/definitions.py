@@ -1,7 +1,7 @@
 """The definitions of a module's source: what each computes, and the names that it uses.
 
 Text for people does not count: docstrings, annotations, the arguments of exceptions, printed lines;
-in aoabench itself also checks of parameters and every text of several words.
+in aoabench itself also checks of parameters, `__repr__` and every text of several words.
 """
 
 from __future__ import annotations
@@ -216,8 +216,8 @@ class _Bare(ast.NodeTransformer):
     def __init__(self, shipped: bool) -> None:
         self.shipped = shipped
 
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        return self._function(node)
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST | None:
+        return None if self.shipped and node.name == "__repr__" else self._function(node)
 
     def visit_AsyncFunctionDef(self, node: ast.AsyncFunctionDef) -> ast.AST:
         return self._function(node)

@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import sys
+import time
 import uuid
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
@@ -28,6 +29,7 @@ _SCHEMA = b"aoabench_schema"
 STALE_S = 3600.0  # age of a file that no process is writing any more
 _LARGE = 2**20  # bytes of a table that threads read faster
 _SMALL = 2**14  # bytes of a table that compression does not make smaller, as its pages are tiny
+_READ_S = 5.0  # longer than it takes to read a table
 WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
 
 
@@ -86,7 +88,7 @@ def write_atomically(path: Path, write: Any) -> None:
     try:
         _make(path.parent)
         write(temporary)
-        os.replace(temporary, path)
+        _put(temporary, path)
     except OSError as error:
         if not error.errno or _names_another(error, temporary, path):
             raise
@@ -94,6 +96,20 @@ def write_atomically(path: Path, write: Any) -> None:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _put(temporary: Path, path: Path) -> None:
+    """Move a file to its place. Windows refuses while another process reads the file there: try
+    again for _READ_S, as our readers close each file once they have read it.
+    """
+    end = time.monotonic() + _READ_S
+    while True:
+        try:
+            return os.replace(temporary, path)
+        except PermissionError:
+            if sys.platform != "win32" or path.is_dir() or time.monotonic() > end:
+                raise
+            time.sleep(0.05)
 
 
 _RUNS: set[Path] = set()

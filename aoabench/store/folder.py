@@ -240,5 +240,10 @@ def noted_parts(
         position = found.stop
         yield part if keep.all() else part.filter(pa.array(keep))
     if position < entry["reps"]:
-        gap = f"replications from {position} on of part {entry['key']} are missing"
-        raise RunError(f"{out}: {gap}; run the same command again")
+        raise missing(out, entry, position)
+
+
+def missing(out: Path, entry: Mapping[str, Any], first: int) -> RunError:
+    """The error for a recorded estimator whose replications from `first` on have no part."""
+    gap = f"replications from {first} on of part {entry['key']} are missing"
+    return RunError(f"{out}: {gap}; run the same command again")

@@ -54,6 +54,6 @@ def sweep(out: Path, keys: Iterable[str]) -> None:
 
 
 def _delete_if_older(file: Path, moment: float) -> None:
-    with contextlib.suppress(FileNotFoundError):
+    with contextlib.suppress(FileNotFoundError, PermissionError):
         if file.stat().st_mtime < moment:
             file.unlink()

@@ -8,16 +8,11 @@ import platform
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
+from aoabench import resources
 from aoabench.errors import RunError, UserError
 from aoabench.store.files import never_make
-
-fcntl: Any
-try:
-    import fcntl
-except ImportError:  # a system without such locks
-    fcntl = None
 
 LOCK = ".lock"
 Identity = tuple[int, int]
@@ -46,7 +41,12 @@ class Lock:
                 )
             return
         place = _place(self.opened)
-        if place is None or _identity(place) != self.folder:
+        if place is None:
+            raise RunError(
+                f"{self.out} was moved, deleted or replaced by another folder during the run; "
+                "move it back, or run the same command again"
+            )
+        if _identity(place) != self.folder:
             raise RunError(
                 f"{self.out} was deleted or replaced by another folder during the run; "
                 "run the same command again"
@@ -71,7 +71,8 @@ def locked(out: Path, say: Callable[[str], None]) -> Iterator[Lock]:
     """Hold the folder's lock, so that one run at a time writes into the folder; call `say` with a
     line to print if another run has to end first.
 
-    The folder and the file .lock in it are both locked, so that deleting .lock frees nothing. The
+    The folder and the file .lock in it are both locked, so that deleting .lock frees nothing
+    (Windows locks the file alone, and deletes or moves neither while the file is open). The
     operating system releases the locks whatever ends the process. On file systems without locks,
     overlapping runs compute some parts twice, and the tables show the cells of the run that ended
     last. Raises UserError if .lock is no file, and RunError in place of any exception that follows
@@ -103,8 +104,10 @@ def _taken(
         stack.callback(os.close, opened)
         waiting.lock(opened, needed=False)
     try:
-        file = stack.enter_context((out / LOCK).open("a+"))
-    except IsADirectoryError:
+        file = stack.enter_context((out / LOCK).open("a+", encoding="utf-8"))
+    except (IsADirectoryError, PermissionError):
+        if not (out / LOCK).is_dir():
+            raise
         raise UserError(
             f"{out / LOCK} is a folder; allowed: the lock file of a run; move the folder away"
         ) from None
@@ -124,16 +127,13 @@ class _Waiting:
 
     def lock(self, descriptor: int, needed: bool) -> None:
         """Lock an open file or folder; without `needed`, errors of the file system are ignored."""
-        if fcntl is None:
-            return
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._say(
-                f"another run{_holder(self.out)} is writing into {self.out}: "
-                "waiting until it has ended ..."
-            )
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if not resources.lock(descriptor, wait=False):
+                self._say(
+                    f"another run{_holder(self.out)} is writing into {self.out}: "
+                    "waiting until it has ended ..."
+                )
+                resources.lock(descriptor, wait=True)
         except OSError as error:
             if needed:
                 self._say(

@@ -173,12 +173,12 @@ def _in_place(generation: Generation, name: str, place: Path) -> bool:
 
 def _sweep(generation: Generation, superseded: Iterable[str]) -> None:
     """Delete the superseded tables, and those that a killed run has left, from the tables' folder;
-    keep those of this generation and of the one before.
+    keep those of this generation and of the one before, and those that Windows keeps for a reader.
     """
     keep = {entry.file for entry in generation.tables.values()} | set(generation.previous)
     gone, old = set(superseded) - keep, time.time() - STALE_S
     for file in (generation.out / _FOLDER).iterdir():
-        with contextlib.suppress(FileNotFoundError):
+        with contextlib.suppress(FileNotFoundError, PermissionError):
             if file.name in gone or (file.name not in keep and file.stat().st_mtime < old):
                 file.unlink()
 

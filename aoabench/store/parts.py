@@ -148,7 +148,7 @@ def examined(out: Path, key: str) -> tuple[list[Part], list[Path]]:
     for checksums in checksum_files(out, key):
         part = _verified(checksums)
         if part is None:
-            damaged.append(checksums.rename(f"{checksums}.damaged"))
+            damaged.append(checksums.replace(f"{checksums}.damaged"))
         else:
             parts.append(part)
     return parts, damaged

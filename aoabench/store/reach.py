@@ -188,7 +188,7 @@ class _Search:
         if name in module.imports:
             yield from self._imported(module.imports[name], ())
             return
-        value = vars(sys.modules.get(module.name, builtins)).get(name)
+        value = getattr(sys.modules.get(module.name, builtins), name, None)  # lazy ones too
         if isinstance(value, type | FunctionType) and value.__module__ != module.name:
             yield value.__module__, value.__qualname__.partition(".")[0]
         elif not module.shipped:

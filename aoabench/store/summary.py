@@ -80,18 +80,23 @@ def _two(name: str, estimate: Estimate) -> dict[str, float]:
     return {name: estimate.value, f"{name}_se": estimate.se}
 
 
-def _means(rows: Columns, clusters: Clusters | None) -> dict[str, float]:
-    """Pooled and mean RMSE with standard errors and 95 % intervals, and the mean iterations."""
+def means(rows: Columns, clusters: Clusters | None = None) -> dict[str, Estimate]:
+    """Pooled and mean RMSE on each axis, and the mean iterations, by their columns of the summary,
+    with their errors over replications, or clustered by position with `clusters`.
+    """
     accepted = _accepted(rows)
     found = {"iterations_mean": mean(rows["iterations"])}
     for axis in AXES:
         rmse = rows[f"rmse_{axis}_m"]
         found[f"rmse_pooled_{axis}_m"] = pooled_rmse(rmse, accepted)
         found[f"rmse_mean_{axis}_m"] = mean(rmse)
-    if clusters is not None:
-        found = clusters.estimates(found)
+    return found if clusters is None else clusters.estimates(found)
+
+
+def _means(rows: Columns, clusters: Clusters | None) -> dict[str, float]:
+    """The means with standard errors, and 95 % intervals of the RMSE."""
     result: dict[str, float] = {}
-    for name, estimate in found.items():
+    for name, estimate in means(rows, clusters).items():
         result |= _two(name, estimate)
         if name.startswith("rmse"):
             low, high = estimate.interval()

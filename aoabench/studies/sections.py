@@ -6,6 +6,7 @@ import base64
 import io
 import json
 from collections.abc import Mapping
+from functools import lru_cache
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -31,11 +32,18 @@ def section(
         mine = [r for r in rows if r["study"] == study.name and r["item"] == item.name]
         items.append({**_item(study, item, contents[item.name], problem, places), "rows": mine})
     found = {key: value for content in contents.values() for key, value in content.values.items()}
-    errata = [{**e, "effect_text": _effect(e.get("effect"), found)} for e in study.errata]
     readme = study.folder / "README.md"
     text = readings(readme.read_text(encoding="utf-8")) if readme.exists() else ""
     more = findings.further(study, found)
-    return {"study": study, "found": more, "items": items, "readings": text, "errata": errata}
+    wrong = errata(study, found)
+    return {"study": study, "found": more, "items": items, "readings": text, "errata": wrong}
+
+
+def errata(study: Study, found: Mapping[str, Any]) -> list[Row]:
+    """The study's errata, each with its effect as text in `effect_text`; `found` holds the numbers
+    of its tables by their ids, as in Stored.values.
+    """
+    return [{**e, "effect_text": _effect(e.get("effect"), found)} for e in study.errata]
 
 
 def _item(
@@ -94,9 +102,13 @@ def readings(markdown: str) -> str:
 
 def embedded(figure: Path, colours: int = 255) -> str:
     """A PNG as base64, with a palette instead of 24 bits a pixel where that makes it smaller."""
+    return _embedded(figure.read_bytes(), colours)
+
+
+@lru_cache(128)  # of figures drawn by this command
+def _embedded(original: bytes, colours: int) -> str:
     from PIL import Image  # matplotlib brings it
 
-    original = figure.read_bytes()
     with Image.open(io.BytesIO(original)) as image:
         small, held = io.BytesIO(), image.convert("RGB")
         held.quantize(colours, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
@@ -140,7 +152,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 200 else f"{text[:200]} ..."
 
 
-def _effect(effect: dict[str, str] | None, found: dict[str, Any]) -> str:
+def _effect(effect: dict[str, str] | None, found: Mapping[str, Any]) -> str:
     """The effect of an erratum, as words and our number; "" if the erratum has none or its number
     was not computed.
     """

@@ -23,3 +23,15 @@ def test_json(call):
     assert json.loads(out) == {"schema": 1, "groups": {group: options(group) for group in GROUPS}}
     found = json.loads(call("list", "noise", "--json")[1])
     assert found["groups"] == {"noise": options("noise")}
+
+
+def test_what_fits_a_scenario_has_only_the_noises_that_each_method_takes(call):
+    status, out, err = call("list", "--fits", "ble_room", "--json")
+    assert (status, err) == (0, "")
+    found = json.loads(out)["fits"]
+    assert found["filter"] == {}, "campaigns are no tracks"
+    assert found["estimator"]["wcg"] == ["ofdm_crlb"]
+    assert set(found["estimator"]["discrepancy"]) == set(options("noise")) - {"recorded"}
+    found = json.loads(call("list", "--fits", "indoor_map", "--json")[1])["fits"]
+    assert found["filter"]["ekf_ae_adaptive"] == ["ae_flip", "ae_normal", "vmf"]
+    assert "ble_multipath" in found["filter"]["ekf_vmf"]

@@ -12,7 +12,7 @@ from aoabench.cli.main import cli, dispatch, main
 from aoabench.errors import RunError, UserError
 from aoabench.store import compare as compare_module
 
-COMMANDS = ["run", "locate", "list", "compare", "collect", "replay", "reproduce", "report"]
+COMMANDS = ["run", "locate", "list", "compare", "plot", "collect", "replay", "reproduce", "report"]
 JSON = ["run", "list", "compare", "collect", "reproduce", "report"]
 
 

@@ -21,12 +21,12 @@ FOREIGN = {
 }
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda f: str(f.relative_to(ROOT)))
+@pytest.mark.parametrize("file", FILES, ids=lambda f: f.relative_to(ROOT).as_posix())
 def test_nobody_probes_objects_of_ours(file):
     """`getattr(x, "literal", ...)` and `hasattr` stand in `adopt` alone, which looks at users'
     objects.
     """
-    name = str(file.relative_to(ROOT / "aoabench"))
+    name = file.relative_to(ROOT / "aoabench").as_posix()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
             continue

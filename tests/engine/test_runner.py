@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -650,3 +651,12 @@ def test_known_access_nodes_are_drawn_per_replication_and_paired_over_the_uncert
         assert np.array_equal(anchors.of(2).position[0], anchors.position[2])
     assert np.allclose(3 * offset[1.0], offset[3.0])
     assert not np.allclose(offset[1.0][0], offset[1.0][1])
+
+
+def test_a_report_says_what_was_computed_not_the_rows_of_its_tables():
+    rows = ({"cell": "a", "mean": 1.0},) * 100
+    report = runner.RunReport(Path("results/raw/run"), 40, 20, 3.14159, precision=rows)
+    said = "results/raw/run: 40 estimator-replications computed, 20 reused"
+    assert repr(report) == f"RunReport({said}, 3.14 s)"
+    report = dataclasses.replace(report, damaged=(Path("a.json"), Path("b.json")))
+    assert repr(report) == f"RunReport({said}, 2 damaged, 3.14 s)"

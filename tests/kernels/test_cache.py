@@ -6,12 +6,15 @@ import shutil
 import stat
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 import aoabench
+from aoabench import resources
 from aoabench.kernels import cache
+from tests.helpers import Msvcrt
 
 # a kernel that uses a shared piece, and a process that loads it and prints how many functions numba
 # compiled, what the kernel computes and what was said
@@ -125,7 +128,7 @@ def test_the_digest_knows_the_module_its_imports_and_the_outcomes(tmp_path, monk
 def test_kernels_import_nothing_of_ours_but_kernels_maths_and_types():
     """The digest covers no other file."""
     for file in Path(cache.__file__).parent.glob("*.py"):
-        if file.stem in ("loading", "helpers"):  # they hold no code that is compiled
+        if file.stem in ("cache", "loading", "helpers"):  # they hold no code that is compiled
             continue
         for node in ast.walk(ast.parse(file.read_text())):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
@@ -266,3 +269,24 @@ def test_helpers_compile_for_the_cache_and_end_with_the_context(tmp_path, monkey
     (kernels / "tiny.py").write_text(TINY + "\n\nclass x:\n    ready = input\n")
     loaded(started(tmp_path, home, script))
     assert loaded(started(tmp_path, home)) == (0, 5.0, "")
+
+
+def test_windows_waits_for_a_compiling_process_and_notes_the_kernel_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(resources, "fcntl", None)
+    monkeypatch.setattr(resources, "msvcrt", Msvcrt())
+    order = []
+
+    def second():
+        with cache.alone(tmp_path, "tiny"):
+            order.append("second")
+
+    with cache.alone(tmp_path, "tiny"):
+        thread = threading.Thread(target=second, daemon=True)
+        thread.start()
+        thread.join(0.3)
+        order.append("first")
+        assert not cache.noted(tmp_path, "tiny")
+    thread.join(60)
+    assert order == ["first", "second"]
+    assert cache.noted(tmp_path, "tiny")
+    assert (tmp_path / "tiny.lock").stat().st_size < 100

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from aoabench.devices.anchors import read_anchors
-from aoabench.devices.floor_plan import FloorPlan
 from aoabench.devices.geodesy import Origin
+from aoabench.devices.plans.floor_plan import FloorPlan
 from aoabench.errors import BadValue
 from aoabench.models.motion import ConstantAcceleration
 from aoabench.scenarios.indoor_map import IndoorMap

@@ -16,6 +16,7 @@ from aoabench.maths import intervals, statistics
 from aoabench.report.comparison import lines
 from aoabench.store import compare, index, manifest, tables
 from aoabench.store.clusters import influences, position_sums
+from aoabench.store.comparison import Comparison
 from aoabench.store.files import write_frame
 from aoabench.store.fixes import clusters, fixes, influences_of
 from aoabench.store.parts import intact_parts
@@ -330,3 +331,16 @@ def test_columns_hold_one_kind_of_value():
         values = pd.Series(same)
         assert tables.one_kind(values) is values
     assert json.loads(tables.one_kind(pd.Series([True, 2], dtype=object))[0]) is True
+
+
+def test_a_comparison_shows_means_change_and_number(rng):
+    better = rng.normal(1.0, 0.1, 50)
+    worse = better + rng.normal(0.1, 0.02, 50)
+    pair = statistics.paired(worse, better)
+    made = Comparison("rmse_3d_m", "ls", "ekf_vmf", 50, worse.mean(), better.mean(), pair, "replication")  # fmt: skip
+    low, high = pair.percent.interval()
+    change = 100 * (worse.mean() / better.mean() - 1)
+    assert repr(made) == (
+        f"Comparison(rmse_3d_m of ls against ekf_vmf: {worse.mean():.4g} and {better.mean():.4g}, "
+        f"{change:+.2f} % [{low:+.2f}, {high:+.2f}], N = 50)"
+    )

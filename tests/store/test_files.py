@@ -1,15 +1,18 @@
 """Files of tables: what they hold, and which of them are compressed."""
 
+import errno
 import json
+import os
+import sys
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from aoabench.errors import RunError
+from aoabench.errors import RunError, WriteError
 from aoabench.store.documents import read_document, write_document
-from aoabench.store.files import file_checksum, read_table, save
+from aoabench.store.files import file_checksum, read_table, save, write_atomically
 
 
 def compression(file):
@@ -51,3 +54,27 @@ def test_a_document_is_text_of_one_line_for_each_name(tmp_path):
     assert json.loads(text)["numbers"] == {"one": [1, 2.5, None]}
     known = {"format": 2, **content, "path": str(tmp_path)}
     assert read_document(tmp_path / "a.json") == known
+
+
+def test_windows_puts_a_file_in_place_once_its_reader_has_closed_it(tmp_path, monkeypatch):
+    target, replace, refused = tmp_path / "table", os.replace, []
+
+    def busy(source, place):
+        if len(refused) < 3:
+            refused.append(place)
+            raise PermissionError(errno.EACCES, "Access is denied", str(source), None, str(place))
+        replace(source, place)
+
+    monkeypatch.setattr(os, "replace", busy)
+    with pytest.raises(WriteError, match="Permission denied"):
+        write_atomically(target, lambda path: path.write_text("new", encoding="utf-8"))
+    assert refused == [target]
+    monkeypatch.setattr(sys, "platform", "win32")
+    write_atomically(target, lambda path: path.write_text("new", encoding="utf-8"))
+    assert len(refused) == 3
+    assert target.read_text(encoding="utf-8") == "new"
+    monkeypatch.setattr("aoabench.store.files._READ_S", 0.0)
+    refused.clear()
+    with pytest.raises(WriteError, match="Permission denied"):
+        write_atomically(target, lambda path: path.write_text("newer", encoding="utf-8"))
+    assert [file.name for file in tmp_path.iterdir()] == ["table"]

@@ -1,4 +1,4 @@
-"""What a key covers: each line of docs/keys.md, as a program or a plug-in that differs in one thing.
+"""What a key covers: each line of docs/explanation/keys.md, as a program or a plug-in that differs in one thing.
 
 `STALE` cases differ in something that decides the numbers: the second run must not reuse the first
 one's. `SAME` cases differ in nothing that does: it must.
@@ -674,7 +674,7 @@ DOMAIN = [
             "kernels/*",
             "maths/*",
         ),
-        *("devices/*", "roles*", "types*", "streams*", "engine/block*", "engine/tiles*"),
+        *("devices/**/*", "roles*", "types*", "streams*", "engine/block*", "engine/tiles*"),
         *("engine/metrics*", "engine/inputs*"),
     )
     for file in sorted(PACKAGE.glob(f"{pattern}.py"))
@@ -698,7 +698,9 @@ def digests(module, tree=None):
 
 @pytest.mark.parametrize("module", DOMAIN)
 def test_text_for_people_changes_no_key(module):
-    """Docstrings, annotations, messages, checks' messages, and a function that nothing uses."""
+    """Docstrings, annotations, messages, checks' messages, a class's text, and a function that
+    nothing uses.
+    """
     before, tree = digests(module), ast.parse(source_of(module).content)
     for node in list(ast.walk(tree)):
         if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
@@ -707,6 +709,8 @@ def test_text_for_people_changes_no_key(module):
                 first.value = ast.Constant("Some other text.")
             elif not isinstance(node, ast.Module):
                 node.body.insert(0, ast.Expr(ast.Constant("Some text.")))
+        if isinstance(node, ast.ClassDef):
+            node.body += ast.parse("def __repr__(self):\n    return str(3)\n").body
         if isinstance(node, ast.FunctionDef):
             node.returns = ast.Name("object")
             for argument in node.args.args:

@@ -10,11 +10,13 @@ import pandas as pd
 import pytest
 
 import aoabench
+from aoabench import resources
 from aoabench.config.compose import compose_cells
 from aoabench.engine import dask, runner, tasks
 from aoabench.errors import RunError, UserError
 from aoabench.store.keys import RunKeys
 from aoabench.store.lock import LOCK, locked
+from tests.helpers import Msvcrt
 
 WORDS = ["noise=vmf", "estimator=[ls]", "scenario.steps=2", "reps=6", "runner.chunk=1"]
 WAIT_S = 60
@@ -85,7 +87,7 @@ def test_who_waited_for_a_lock_file_that_was_replaced_takes_the_new_one(tmp_path
             raise OSError(9, "Bad file descriptor")
         return flock(descriptor, how)
 
-    monkeypatch.setattr("aoabench.store.lock.fcntl.flock", files_only)
+    monkeypatch.setattr(fcntl, "flock", files_only)
     with (tmp_path / LOCK).open("a+") as old:
         flock(old, fcntl.LOCK_EX)
         thread, got = second(tmp_path, said)
@@ -228,6 +230,58 @@ def test_workers_of_a_moved_folder_stop(cells, tmp_path, monkeypatch):
     assert not out.exists()
 
 
-def test_without_fcntl_there_is_no_lock_and_the_run_goes_on(cells, tmp_path, monkeypatch):
-    monkeypatch.setattr("aoabench.store.lock.fcntl", None)
+# --- Windows, and systems without locks -----------------------------------------------------------
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    """Locks as Windows has them, which opens no folders."""
+    system = Msvcrt()
+    monkeypatch.setattr(resources, "fcntl", None)
+    monkeypatch.setattr(resources, "msvcrt", system)
+    monkeypatch.setattr("aoabench.store.lock._opened", lambda folder: None)
+    return system
+
+
+def test_a_second_run_waits_on_windows(windows, tmp_path):
+    said = []
+    with locked(tmp_path, unused):
+        assert min(windows.places) > (tmp_path / LOCK).stat().st_size, "others could not read it"
+        thread, got = second(tmp_path, said)
+        while not said:
+            assert thread.is_alive(), "it did not wait"
+        thread.join(0.3)
+        assert not got.is_set()
+    thread.join(WAIT_S)
+    assert got.is_set()
+    assert said[0].startswith(f"another run (process {os.getpid()} on ")
+
+
+def test_a_run_on_windows(cells, windows, whole, tmp_path):
     assert runner.run(cells(tmp_path), progress=False).computed == 6
+    pd.testing.assert_frame_equal(aoabench.load(tmp_path), whole, check_exact=True)
+    assert runner.run(cells(tmp_path), progress=False).reused == 6
+
+
+def test_without_locks_the_run_says_so_and_goes_on(cells, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(resources, "fcntl", None)
+    assert resources.msvcrt is None
+    assert runner.run(cells(tmp_path), progress=False).computed == 6
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "locks" in line]
+    assert line.startswith(f"aoabench: {tmp_path}: the file system has no locks (")
+    assert line.endswith("do not start two runs into this folder at once")
+
+
+def test_a_folder_that_is_gone_where_its_new_place_is_not_known(cells, tmp_path, monkeypatch):
+    """As on macOS, which has no /proc, and on Windows."""
+    monkeypatch.setattr("aoabench.store.lock._place", lambda opened: None)
+    out = tmp_path / "out"
+    out.mkdir()
+    with locked(out, unused) as lock:
+        moved(out)
+        with pytest.raises(RunError) as told:
+            lock.check()
+    assert str(told.value) == (
+        f"{out} was moved, deleted or replaced by another folder during the run; "
+        "move it back, or run the same command again"
+    )

@@ -64,11 +64,12 @@ def test_bench_and_animation_write_the_same_place(monkeypatch, tmp_path):
     monkeypatch.setattr(bench, "measured", lambda *_: pd.DataFrame({"part": ["start"]}))
     for drawing in (bench.show, bench.cost):
         monkeypatch.setattr(drawing, "draw", lambda _, path: path.touch())
-    (tmp_path / "docs").mkdir()
-    (tmp_path / "docs" / "bench.md").write_text("as it was")
+    page = tmp_path / "docs" / "reference" / "benchmarks.md"
+    page.parent.mkdir(parents=True)
+    page.write_text("as it was")
     bench.main()
     assert (tmp_path / "results" / "draft" / "bench" / "bench.parquet").exists()
-    assert (tmp_path / "docs" / "bench.md").read_text() == "as it was"
+    assert page.read_text() == "as it was"
     traces = sorted((ROOT / "results" / "tables").glob("track-*.parquet"))
     monkeypatch.setattr(animation, "write", lambda _traces, _anchors, path: written(path))
     animation.main([str(path) for path in traces])

@@ -16,8 +16,8 @@ from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
 from aoabench.config.plugins import construct
-from aoabench.devices.floor_plan import FloorPlan
-from aoabench.devices.sight import in_sight
+from aoabench.devices.plans.floor_plan import FloorPlan
+from aoabench.devices.plans.sight import in_sight
 from aoabench.errors import UserError
 from aoabench.maths.geometry import in_frames, to_azel
 from aoabench.models.motion import ConstantAcceleration, RandomWalk
@@ -404,7 +404,7 @@ def test_own_files_come_first_and_any_path_will_do(here):
 
 
 @pytest.mark.parametrize(("text", "says"), [
-    (None, "existing file; shipped: indoor_map.geojson, indoor_map_anchors.csv"),
+    (None, "existing file; shipped: indoor_map.geojson, indoor_map_anchors.csv, track.csv"),
     ("", "line 1 is empty"),
     ("x_m,z_m\n1,2\n", "columns x_m, y_m and, where needed, id (else 1, 2, ...), z_m, facing_deg, pitch_deg, roll_deg"),
     ("x_m,x_m,y_m,z_m,facing_deg\n1,1,2,3,4\n", "each once"),

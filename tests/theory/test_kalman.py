@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from aoabench.errors import BadValue
+from aoabench.filters.gaussian import Gaussian
 from aoabench.filters.kalman import EKF, UKF, sigma_points
 from aoabench.filters.roots import covariance
 from aoabench.maths.linalg import cholesky
@@ -186,7 +187,7 @@ def test_updates_equal_the_printed_algorithms_with_errata(make, slow, h, rng):
     P = A @ np.swapaxes(A, 1, 2) + 0.05 * np.eye(3)
     y = h.predict(x + 0.1 * rng.normal(size=(R, 3)), anchors)
     r = np.full(y.shape, np.deg2rad(5) ** 2)
-    mean, root = make(h).update(x, cholesky(P), y, r, anchors)
+    mean, root, _ = make(h).update(Gaussian(x, cholesky(P)), y, r, anchors)
     for i in range(R):
         m, C = slow(h, x[i], P[i], y[i], r[i], anchors)
         assert np.allclose(mean[i], m, atol=1e-9)
@@ -251,7 +252,7 @@ def test_augmented_and_averaged_forms_agree_where_deviations_are_constant(rng):
     y = h.predict(x + 0.01, anchors)
     r = np.full(y.shape, np.deg2rad(3) ** 2)
     a, b = (
-        UKF(h, form=form).update(x, cholesky(P), y, r, anchors)
+        UKF(h, form=form).update(Gaussian(x, cholesky(P)), y, r, anchors)
         for form in ("averaged", "augmented")
     )
     assert np.allclose(a[0], b[0], atol=1e-6)
@@ -264,7 +265,7 @@ def test_forms_of_the_adaptive_ukf_differ_near_a_pole():
     x, P = np.array([[0.3, -0.3, -2.0]]), 0.5 * np.eye(3)[None]
     y = np.array([[-np.pi, -9 * np.pi / 20]])
     means = [
-        UKF(h, form=form).update(x, cholesky(P), y, np.ones((1, 2)), anchors)[0]
+        UKF(h, form=form).update(Gaussian(x, cholesky(P)), y, np.ones((1, 2)), anchors).mean
         for form in ("averaged", "centre", "augmented")
     ]
     assert not np.allclose(means[0], means[1], atol=1e-3)

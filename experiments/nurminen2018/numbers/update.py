@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from aoabench.filters.gaussian import Gaussian
 from aoabench.filters.kalman import EKF, UKF
 from aoabench.maths.geometry import to_unit
 from aoabench.models.azel import AzEl, AzElAdaptive, AzElFitted
@@ -39,9 +40,8 @@ def fig2(scale: str) -> pd.DataFrame:
     for model, h in models.items():
         y, r = measurement_of(h)
         for name, kalman in (("ekf", EKF(h)), ("ukf", UKF(h))):
-            mean, _ = kalman.update(
-                FIG2["mean"][None], FIG2["sigma_m"] * np.eye(3)[None], y, r, anchor
-            )
+            prior = Gaussian(FIG2["mean"][None], FIG2["sigma_m"] * np.eye(3)[None])
+            mean = kalman.update(prior, y, r, anchor).mean
             rows.append((name, model, *mean[0], angle_deg(mean[0], u)))
         exact = exact_mean(h, nodes)
         rows.append(("exact", model, *exact, angle_deg(exact, u)))
