@@ -87,10 +87,12 @@ def run(
     may name. progress: print what the run does, and a bar, on standard error.
 
     The frame has a row per cell, estimator and replication, the columns of replications.parquet and
-    one per swept parameter; see `load` for its `attrs`. Raises UserError for a mistake in the
+    one per swept parameter; see `load` for its `attrs`. `attrs["notes"]` has remarks about the
+    input, such as the presets that `filter=all` leaves out. Raises UserError for a mistake in the
     input, and RunError for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
+    from aoabench.config.fit import left_out_text
     from aoabench.engine import faults, runner
 
     cells = compose_cells(
@@ -106,6 +108,8 @@ def run(
     kept = [pair in mine for pair in zip(frame["cell"], frame["estimator"])]
     frame = frame[kept].reset_index(drop=True)
     frame.attrs["cells"] = frame["cell"].unique().tolist()
+    notes = dict.fromkeys(line for cell in cells for line in cell.notes)
+    frame.attrs["notes"] = [*notes, *left_out_text(cells)]
     return frame
 
 
@@ -215,12 +219,14 @@ def export(
     by: str | None = None,
     digits: int = 2,
 ) -> Any:
-    """Return the summary of the run in folder `run`, a row for each cell and estimator, as
-    `aoabench export` writes it: a text for the forms latex, markdown and csv, a dict for json, and
-    an xarray.Dataset for xarray.
+    """Return the summary of the run in the folder `run`, a row for each cell and estimator, as
+    `aoabench export` writes it. form: latex, markdown or csv, which are texts, json, a dict, or
+    xarray, an xarray.Dataset.
 
-    `metrics`, `by` and `digits` are those of the command; see `report.export.export`. Raises
-    UserError for a mistake in the input.
+    metrics: names of columns of summary.parquet or timing.parquet, or `all`. by: a key with several
+    values, each of which gets a column per metric in latex and markdown. digits: significant digits
+    of an interval's half-width, to which these two round. Raises UserError for a mistake in the
+    input, and where xarray is not installed.
     """
     from aoabench.engine.faults import explained
     from aoabench.errors import check_choice

@@ -1,8 +1,8 @@
-"""The units in the names of columns."""
+"""The units and the meanings of columns."""
 
 import pytest
 
-from aoabench.columns import REPLICATIONS, STEPS, SUMMARY, TIMING, unit_of
+from aoabench.columns import REPLICATIONS, STEPS, SUMMARY, TABLES, TIMING, meaning, unit_of
 
 
 @pytest.mark.parametrize(("name", "unit"), [
@@ -19,3 +19,11 @@ def test_every_length_of_the_tables_has_its_unit():
         for name in table:
             known = "m" if name.endswith("_m") else "m^2" if name.endswith("_m2") else None
             assert known is None or unit_of(name) == known
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_column_of_the_tables_has_its_meaning(table):
+    for name in TABLES[table]:
+        assert meaning(name).strip()
+    with pytest.raises(KeyError):
+        meaning("n")
