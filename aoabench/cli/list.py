@@ -80,7 +80,9 @@ def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> N
         return
     for group, presets in found.items():
         echo(f"{group}:" if presets else f"{group}: (none yet)")
-        for preset, text in presets.items():
+        shipped = options(group)
+        for preset, description in presets.items():
+            text = description if preset in shipped else f"{description} (in {config_dir})".strip()
             echo(wrapped(f"  {preset:24s} {text}", 27))
 
 

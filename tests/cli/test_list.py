@@ -20,7 +20,7 @@ def test_groups_and_presets(call, tmp_path):
     assert call("list", "runner")[1].splitlines()[0] == "runner:"
     (tmp_path / "noise").mkdir()
     (tmp_path / "noise" / "mine.yaml").write_text("# My noise\n")
-    assert "My noise" in call("list", "noise", "--config-dir", tmp_path)[1]
+    assert f"My noise (in {tmp_path})\n" in call("list", "noise", "--config-dir", tmp_path)[1]
     assert call("list", "--config-dir", tmp_path / "no")[0] == 2
 
 

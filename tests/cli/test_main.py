@@ -13,7 +13,7 @@ from aoabench.errors import RunError, UserError
 from aoabench.store import compare as compare_module
 
 COMMANDS = ["run", "locate", "list", "compare", "plot", "export", "collect", "replay", "reproduce", "report", "new", "test"]  # fmt: skip
-JSON = ["run", "list", "compare", "export", "collect", "reproduce", "report"]
+JSON = ["run", "list", "compare", "export", "collect", "reproduce", "report", "test"]
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
