@@ -48,6 +48,11 @@ def test_a_page_runs_from_top_to_bottom(page, call, tmp_path, monkeypatch):
             file.unlink()
         else:
             snippets.check_text(block)
+    if page.name == "README.md":  # whose reader stands in a checkout
+        made = {path.name for folder in (".", "results") for path in (tmp_path / folder).iterdir()}
+        assert made <= {"results", ".venv", "raw", "quick", "draft"}, (
+            "files that git does not ignore"
+        )
 
 
 def run(command, call, folder, where):
