@@ -54,7 +54,7 @@ def _of_log(place: LogParameters, origin: Origin | None) -> AnchorsFile:
     if "anchor" in own:
         number, ids = names_of(table, "anchor")
     else:
-        number, ids = np.zeros(len(table.frame), dtype=int), ["1"]
+        number, ids = np.zeros(table.count, dtype=int), ["1"]
     return receivers(table, number, ids, origin)
 
 

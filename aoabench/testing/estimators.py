@@ -122,7 +122,7 @@ def missing(trial: Trial) -> str:
         ),
     }
     if "elevation" not in trial.estimator.needs:
-        cases["azimuths alone"] = worlds.without(batch, np.True_, "elevation", "elevation_sigma")
+        cases["azimuths alone"] = worlds.without(batch, True, "elevation", "elevation_sigma")
     return "; ".join(filter(None, (_survives(trial, *case) for case in cases.items())))
 
 
@@ -140,7 +140,7 @@ def nothing(trial: Trial) -> str:
     """Whether a fix without any measurement claims a position."""
     if "prior" in trial.estimator.needs:
         raise NotTried("a filter predicts")
-    found = trial.run(worlds.without(trial.batch, np.True_))
+    found = trial.run(worlds.without(trial.batch, True))
     claimed = ~np.isin(found.outcome, (Outcome.FAILED, Outcome.REJECTED))
     return f"{int(claimed.sum())} of {claimed.size} such fixes have a position" * bool(
         claimed.any()
