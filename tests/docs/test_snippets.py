@@ -11,7 +11,7 @@ import pytest
 
 from tests.docs import snippets
 
-RUN = [page for page in snippets.PAGES if any(not b.not_run for b in snippets.blocks(page))]
+WITH_BLOCKS = [page for page in snippets.PAGES if any(snippets.blocks(page))]
 
 
 def names(pages):
@@ -26,7 +26,7 @@ def check(command, call):
         assert status == 0, error
 
 
-@pytest.mark.parametrize("page", RUN, ids=names(RUN))
+@pytest.mark.parametrize("page", WITH_BLOCKS, ids=names(WITH_BLOCKS))
 def test_a_page_runs_from_top_to_bottom(page, call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("joblib.cpu_count", lambda: 1)  # no processes to start
