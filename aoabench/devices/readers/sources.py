@@ -52,10 +52,10 @@ def expanded(key: str, path: Any) -> list[str]:
     return found
 
 
-def natural(name: str) -> list[tuple[int, int, str]]:
-    """A key for sorting: log_2 goes before log_10."""
-    words = re.split(r"(\d+)", name)
-    return [(0, int(w), "") if w.isdecimal() and w.isascii() else (1, 0, w) for w in words]
+def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
+    """A key that sorts texts with their digits as numbers: T2 before T10."""
+    parts = re.split(r"(\d+)", text.lower())
+    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts if p], text
 
 
 def content_of(path: object) -> bytes:
