@@ -21,7 +21,7 @@ UV      := $(shell command -v uv)
 install  = $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python $(1) ||) \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile $(1)
 
-.PHONY: help setup reproduce-figures report test test-processors test-avx2 test-sse2 lint bench notebooks lock clean
+.PHONY: help setup reproduce-figures report test test-processors test-avx2 test-sse2 lint docs bench notebooks lock clean
 
 help:
 	@echo "make reproduce-figures [SCALE=quick|paper] [STUDY=nurminen2018]   tables, figures, page and verdicts"
@@ -30,10 +30,11 @@ help:
 	@echo "make test         the whole test suite"
 	@echo "make test-processors   the kernels' tests as if for a processor with AVX2 only, and for one with SSE2 only"
 	@echo "make lint         ruff and mypy"
+	@echo "make docs         the documentation as a site, to results/draft/site"
 	@echo "make bench        speed and memory, against other libraries too, to results/draft/bench (15 minutes)"
 	@echo "make notebooks    execute results/notebooks, to results/draft/notebooks"
 	@echo "make report|bench|notebooks COMMIT=1   replace the committed files instead of writing results/draft"
-	@echo "make lock         resolve requirements.lock again (needs uv)"
+	@echo "make lock         resolve requirements.lock and .ci/docs.lock again (needs uv)"
 	@echo "make clean        remove the environment, the raw replications, quick results and drafts"
 
 setup: $(READY)
@@ -74,6 +75,15 @@ test-sse2: $(READY)
 lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
 
+docs: $(VENV)/.docs
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f .ci/mkdocs.yml
+	@echo "the site is results/draft/site/index.html; with its search: $(BIN)/python -m http.server -d results/draft/site"
+
+$(VENV)/.docs: $(READY) .ci/docs.lock
+	@echo "adding what builds the documentation ..."
+	@$(call install,--require-hashes -r .ci/docs.lock)
+	@touch $@
+
 bench: $(VENV)/.bench
 	@$(BIN)/python -m benchmarks
 
@@ -86,12 +96,29 @@ $(VENV)/.bench: $(READY)
 
 notebooks: $(READY)
 	@mkdir -p results/draft/notebooks
-	@for f in results/notebooks/*.ipynb; do $(BIN)/jupyter execute "$$f" --timeout=60 \
+	@for f in results/notebooks/*.ipynb; do $(BIN)/jupyter execute "$$f" --timeout=300 \
 		--output="$(if $(filter 1,$(COMMIT)),$(CURDIR)/$$f,$(CURDIR)/results/draft/notebooks/$$(basename "$$f"))" || exit 1; done
+	@$(if $(filter 1,$(COMMIT)),$(BIN)/python -c "$$FIRST_PICTURE")
 
-lock:
-	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
-		--no-emit-index-url --no-emit-find-links --no-header --no-annotate -o requirements.lock
+# the picture of `explore` in the gallery: its first figure
+define FIRST_PICTURE
+import base64, json, pathlib
+cells = json.loads(pathlib.Path("results/notebooks/explore.ipynb").read_text(encoding="utf-8"))["cells"]
+found = (o["data"]["image/png"] for c in cells for o in c.get("outputs", ()) if "image/png" in o.get("data", ()))
+pathlib.Path("results/notebooks/explore.png").write_bytes(base64.b64decode(next(found)))
+endef
+export FIRST_PICTURE
+
+# $(call resolve,input,options,output)
+resolve = uv pip compile $(1) --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
+	--no-header --no-annotate $(2) -o $(3)
+
+lock: $(READY)
+	$(call resolve,pyproject.toml,--extra dev,requirements.lock)
+	@# what builds the documentation is not part of the environment that everybody sets up
+	$(BIN)/python -c 'import tomllib as t; print(*t.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"], sep="\n")' \
+		| $(call resolve,-,--constraint requirements.lock,.ci/docs.lock)
+	$(call resolve,pyproject.toml,$(addprefix --extra ,test xlsx geo dxf dask xarray) --resolution lowest-direct,.ci/lowest.lock)
 
 clean:
 	rm -rf $(VENV) results/raw results/quick results/draft .pytest_cache .mypy_cache .ruff_cache

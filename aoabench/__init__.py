@@ -87,10 +87,12 @@ def run(
     may name. progress: print what the run does, and a bar, on standard error.
 
     The frame has a row per cell, estimator and replication, the columns of replications.parquet and
-    one per swept parameter; see `load` for its `attrs`. Raises UserError for a mistake in the
+    one per swept parameter; see `load` for its `attrs`. `attrs["notes"]` has remarks about the
+    input, such as the presets that `filter=all` leaves out. Raises UserError for a mistake in the
     input, and RunError for an error that stops the run later.
     """
     from aoabench.config.compose import compose_cells
+    from aoabench.config.fit import left_out_text
     from aoabench.engine import faults, runner
 
     cells = compose_cells(
@@ -103,9 +105,12 @@ def run(
     )
     frame = load(runner.run(cells, progress, fresh).out)
     mine = {(cell.id, name) for cell in cells for name in cell.estimators}
-    return frame[[pair in mine for pair in zip(frame["cell"], frame["estimator"])]].reset_index(
-        drop=True
-    )
+    kept = [pair in mine for pair in zip(frame["cell"], frame["estimator"])]
+    frame = frame[kept].reset_index(drop=True)
+    frame.attrs["cells"] = frame["cell"].unique().tolist()
+    notes = dict.fromkeys(line for cell in cells for line in cell.notes)
+    frame.attrs["notes"] = [*notes, *left_out_text(cells)]
+    return frame
 
 
 def locate(
@@ -139,12 +144,20 @@ def locate(
 def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     """Return the table of the run in folder `out`: one row per cell x estimator x replication, and
     one column per swept parameter.
+
+    Its `attrs` hold the `folder`, the ids of the `cells` and the `units` of the columns that have
+    one. Raises UserError for a folder without a run, and RunError if its tables are torn.
     """
+    from aoabench.columns import unit_of
     from aoabench.engine.faults import explained
     from aoabench.store import tables
 
     with explained(Path(out)):
-        return tables.load(_literal(out))
+        frame = tables.load(_literal(out))
+    units = {name: unit for name in frame if (unit := unit_of(name))}
+    cells = frame["cell"].unique().tolist()
+    frame.attrs = {"folder": os.fspath(out), "cells": cells, "units": units}
+    return frame
 
 
 def compare(
@@ -206,12 +219,14 @@ def export(
     by: str | None = None,
     digits: int = 2,
 ) -> Any:
-    """Return the summary of the run in folder `run`, a row for each cell and estimator, as
-    `aoabench export` writes it: a text for the forms latex, markdown and csv, a dict for json, and
-    an xarray.Dataset for xarray.
+    """Return the summary of the run in the folder `run`, a row for each cell and estimator, as
+    `aoabench export` writes it. form: latex, markdown or csv, which are texts, json, a dict, or
+    xarray, an xarray.Dataset.
 
-    `metrics`, `by` and `digits` are those of the command; see `report.export.export`. Raises
-    UserError for a mistake in the input.
+    metrics: names of columns of summary.parquet or timing.parquet, or `all`. by: a key with several
+    values, each of which gets a column per metric in latex and markdown. digits: significant digits
+    of an interval's half-width, to which these two round. Raises UserError for a mistake in the
+    input, and where xarray is not installed.
     """
     from aoabench.engine.faults import explained
     from aoabench.errors import check_choice

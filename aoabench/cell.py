@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from aoabench.columns import REPLICATIONS
-from aoabench.errors import BadValue, check_choice, check_number
+from aoabench.errors import BadValue, Mistakes, check_bool, check_choice, check_number
 from aoabench.maths.digest import described, digest
 from aoabench.roles import Estimator, Noise, Scenario
 
@@ -33,21 +33,20 @@ class Until:
     max_reps: int = 20_000
 
     def __post_init__(self) -> None:
-        check_choice(
-            "until.metric", self.metric, [c for c, kind in REPLICATIONS.items() if kind == "double"]
-        )
-        check_number("until.se", self.se, above=0, optional=True)
-        check_number("until.relative_se", self.relative_se, above=0, optional=True)
-        check_number("until.min_reps", self.min_reps, least=2, most=100_000_000, integer=True)
-        check_number(
-            "until.max_reps", self.max_reps, least=self.min_reps, most=100_000_000, integer=True
-        )
-        if self.se is self.relative_se is None:
-            raise BadValue(
-                "until.se",
-                None,
-                "a number > 0, for until.se or until.relative_se (or both), with until.metric",
-            )
+        tried = (mistakes := Mistakes()).tried
+        columns = [c for c, kind in REPLICATIONS.items() if kind == "double"]
+        tried(check_choice, "until.metric", self.metric, columns)
+        tried(check_number, "until.se", self.se, above=0, optional=True)
+        tried(check_number, "until.relative_se", self.relative_se, above=0, optional=True)
+        limits: dict[str, Any] = {"most": 100_000_000, "integer": True}
+        few = len(mistakes.found)
+        tried(check_number, "until.min_reps", self.min_reps, least=2, **limits)
+        least = self.min_reps if len(mistakes.found) == few else 2
+        tried(check_number, "until.max_reps", self.max_reps, least=least, **limits)
+        if self.se is self.relative_se is None and not mistakes.found:
+            allowed = "a number > 0, for until.se or until.relative_se (or both), with until.metric"
+            mistakes.note(BadValue("until.se", None, allowed))
+        mistakes.check()
 
     @property
     def counts(self) -> list[int]:
@@ -76,28 +75,29 @@ class RunnerOptions:
     tls_key: str | None = None
 
     def __post_init__(self) -> None:
+        tried = (mistakes := Mistakes()).tried
         local = max(64, 4 * (os.cpu_count() or 1))  # more would only use up the memory
         most = math.inf if self.backend == "dask" else local
-        check_number("runner.n_jobs", self.n_jobs, least=-1, most=most, integer=True)
+        tried(check_number, "runner.n_jobs", self.n_jobs, least=-1, most=most, integer=True)
         if self.n_jobs == 0:
-            raise BadValue("runner.n_jobs", 0, "an integer >= 1, or -1 for all cores")
-        check_number("runner.chunk", self.chunk, least=1, integer=True, optional=True)
-        check_number("runner.max_failed", self.max_failed, least=0, most=1)
-        check_choice("runner.backend", self.backend, ("loky", "threading", "sequential", "dask"))
+            allowed = "an integer >= 1, or -1 for all cores"
+            mistakes.note(BadValue("runner.n_jobs", 0, allowed))
+        tried(check_number, "runner.chunk", self.chunk, least=1, integer=True, optional=True)
+        tried(check_number, "runner.max_failed", self.max_failed, least=0, most=1)
+        backends = ("loky", "threading", "sequential", "dask")
+        tried(check_choice, "runner.backend", self.backend, backends)
         if self.backend == "dask" and not _is_address(self.address):
-            raise BadValue(
-                "runner.address",
-                self.address,
-                "the scheduler's tcp://HOST:PORT (or tls://HOST:PORT)",
-            )
+            allowed = "the scheduler's tcp://HOST:PORT (or tls://HOST:PORT)"
+            mistakes.note(BadValue("runner.address", self.address, allowed))
         if self.backend != "dask" and self.address is not None:
-            raise BadValue("runner.address", self.address, "null, unless runner.backend=dask")
+            allowed = "null, unless runner.backend=dask"
+            mistakes.note(BadValue("runner.address", self.address, allowed))
         if not isinstance(self.out, str) or not self.out:
-            raise BadValue("runner.out", self.out, "the path of a folder")
-        if not isinstance(self.steps, bool):
-            raise BadValue("store.steps", self.steps, "true or false")
-        check_choice("runner.other_machines", self.other_machines, ("report", "refuse"))
-        self._check_tls()
+            mistakes.note(BadValue("runner.out", self.out, "the path of a folder"))
+        tried(check_bool, "store.steps", self.steps)
+        tried(check_choice, "runner.other_machines", self.other_machines, ("report", "refuse"))
+        tried(self._check_tls)
+        mistakes.check()
 
     @property
     def tls(self) -> dict[str, str | None]:
@@ -148,6 +148,8 @@ class Cell:
     experiment: str | None = None
     plugins: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # lines to print for the user
+    # presets that `all` does not choose here, by dotted key, with the reason
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def steps(self) -> bool:

@@ -12,6 +12,10 @@ import re
 # tables lack times, reasons, n_unmeasured, imprecise, standard deviations and intervals.
 SCHEMA = 2
 
+_UNITS = {f"_{unit}": unit for unit in ("m", "s", "ns", "deg", "rad")}
+_UNITS |= {"_m_s": "m/s", "_m2": "m^2", "_db": "dB", "_dbm": "dBm"}
+_UNITS |= {"_hz": "Hz", "_khz": "kHz", "_ghz": "GHz"}
+
 REPLICATIONS = {
     "cell": "string",
     "experiment": "string",
@@ -280,3 +284,11 @@ def meaning(column: str) -> str:
         if found := re.fullmatch(pattern, column):
             return text.format(found[1])
     raise KeyError(column)
+
+
+def unit_of(name: str) -> str:
+    """The unit that the name of a column or parameter states: "m", "deg", "s" ...; "" if none."""
+    if name.startswith("seconds_"):
+        return "s"
+    ends = [end for end in _UNITS if name.endswith(end)]
+    return _UNITS[max(ends, key=len)] if ends else ""

@@ -6,13 +6,15 @@ import difflib
 import math
 import sys
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from numbers import Real
-from typing import cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from aoabench.maths.geometry import Array
+
+Result = TypeVar("Result")
 
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6, path: str = "") -> str:
@@ -65,6 +67,44 @@ class _Line(Exception):
 
 class UserError(_Line):
     """A mistake in the input that the user can correct: one clear line, exit status 2."""
+
+
+class ManyErrors(UserError):
+    """Several mistakes in the input: a heading, and one line for `each`."""
+
+    def __init__(self, each: Sequence[UserError]) -> None:
+        self.each = tuple(each)
+        lines = [" ".join(str(one).split()) for one in self.each]
+        super().__init__("\n  ".join([f"{len(lines)} mistakes:", *lines]))
+
+    def __reduce__(self) -> tuple[type, tuple[Sequence[UserError]]]:
+        return type(self), (self.each,)
+
+
+class Mistakes:
+    """Collects the UserErrors of independent checks, so that one message shows all of them."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, UserError] = {}  # by their text: each mistake once
+
+    def note(self, error: UserError) -> None:
+        """Add a mistake, or each of several."""
+        for one in error.each if isinstance(error, ManyErrors) else (error,):
+            self.found.setdefault(str(one), one)
+
+    def tried(self, function: Callable[..., Result], *args: Any, **kwargs: Any) -> Result | None:
+        """The result of a call, or None where it raises UserError, which is noted."""
+        try:
+            return function(*args, **kwargs)
+        except UserError as error:
+            self.note(error)
+            return None
+
+    def check(self) -> None:
+        """Raise the mistake, or ManyErrors for several; nothing without any."""
+        each = list(self.found.values())
+        if each:
+            raise each[0] if len(each) == 1 else ManyErrors(each)
 
 
 class RunError(_Line):

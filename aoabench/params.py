@@ -35,15 +35,7 @@ _LISTS = {"str": "texts", "int": "integers", "float": "numbers", "bool": "true a
 
 @dataclass(frozen=True)
 class Param:
-    """The meaning of a parameter and its limits within its type annotation.
-
-    help, unit: the meaning. above, least, most: a number, or each number of an array or a list,
-    lies in (above, most] and [least, most]. choices: the strings that are allowed, alone or in a
-    list. shape: the shape of an array of numbers, None for any length >= 1. kind: the class of an
-    object. also: further values that are allowed without these checks. allowed: the text of error
-    messages, in place of the one made from these fields. key: the name in a config, if it is not
-    the field's own.
-    """
+    """The meaning of a parameter and its limits within its type annotation; see `param`."""
 
     help: str
     unit: str = ""
@@ -131,9 +123,15 @@ def param(  # noqa: PLR0913 - one argument per limit
     allowed: str = "",
     key: str = "",
 ) -> Any:
-    """Return a dataclass field with its meaning and limits (see Param); required without `default`.
+    """Return a dataclass field with its meaning and limits; required without `default`. A class
+    with such fields derives from CheckedParams, as the roles do.
 
-    A class with such fields derives from CheckedParams, as the roles do.
+    help, unit: the meaning. above, least, most: a number, or each number of an array or a list,
+    lies in (above, most] and [least, most]. choices: the strings that are allowed, alone or in a
+    list. shape: the shape of an array of numbers, None for any length >= 1. kind: the class of an
+    object. also: further values that are allowed without these checks. allowed: the text of error
+    messages, in place of the one made from these fields. key: the name in a config, if it is not
+    the field's own.
     """
     some = tuple(choices)
     known = Param(help, unit, above, least, most, some, shape, kind, also, allowed, key)
@@ -185,8 +183,15 @@ class CheckedParams:
 
     def __post_init__(self) -> None:
         for f in fields(cast(Any, self)):
-            if "param" in f.metadata:
-                f.metadata["param"].check(key_of(f), getattr(self, f.name), _annotation(f.type))
+            check_field(f, getattr(self, f.name))
+
+
+def check_field(f: Field[Any], value: object) -> None:
+    """Raise BadValue unless `value` fits the field `f`; a field that `param` did not make takes any
+    value.
+    """
+    if "param" in f.metadata:
+        f.metadata["param"].check(key_of(f), value, _annotation(f.type))
 
 
 def _annotation(kind: object) -> str:

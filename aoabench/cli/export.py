@@ -61,9 +61,7 @@ def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> l
     type=click.Path(path_type=Path),
     help="The file to write; its ending (.tex, .csv, .json, .md, .nc) can stand for the format.",
 )
-@click.pass_context
 def export(
-    ctx: click.Context,
     run: Path,
     metrics: tuple[str, ...],
     by: str | None,

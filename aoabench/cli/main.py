@@ -27,14 +27,16 @@ from aoabench.cli.compare import compare
 from aoabench.cli.export import export
 from aoabench.cli.list import list_presets
 from aoabench.cli.locate import locate
+from aoabench.cli.new import new
 from aoabench.cli.plot import plot
 from aoabench.cli.replay import replay
 from aoabench.cli.report import report
 from aoabench.cli.reproduce import reproduce
 from aoabench.cli.run import run
+from aoabench.cli.test import test
 from aoabench.config.presets import GROUPS
 from aoabench.engine.faults import KEPT, explained
-from aoabench.errors import RunError, UserError, did_you_mean, printable, shorten
+from aoabench.errors import ManyErrors, RunError, UserError, did_you_mean, printable, shorten
 
 _STOPPED = {"SIGHUP": "hung up", "SIGINT": "interrupted", "SIGTERM": "terminated"}
 _GRACE_S = 5  # after the first signal
@@ -102,6 +104,8 @@ _COMMANDS = (
     replay,
     reproduce,
     report,
+    new,
+    test,
     help_,
 )
 for _command in _COMMANDS:
@@ -136,7 +140,7 @@ def _status(arguments: Sequence[str], received: Sequence[signal.Signals]) -> int
         if debug:
             raise
         known = isinstance(error, UserError | RunError)
-        _complain(str(error) if known else crash.reported(error))
+        _complain(*_lines(error) if known else [crash.reported(error)])
         return 2 if isinstance(error, UserError) else 1
 
 
@@ -197,9 +201,18 @@ def _help_of(parameter: Any) -> str:
     return (parameter.help or "").rstrip(".").lower()
 
 
-def _complain(line: str) -> None:
+def _lines(error: Exception) -> list[str]:
+    """The message of an error: one line, or a heading and a line for each of several mistakes."""
+    if isinstance(error, ManyErrors):
+        return [f"{len(error.each)} mistakes:", *map(str, error.each)]
+    return [str(error)]
+
+
+def _complain(*lines: str) -> None:
+    """Print a message on standard error, each of its lines as one line."""
+    plain = [printable(" ".join(line.split())) for line in lines]
     with suppress(OSError):  # a terminal that has hung up
-        print(f"aoabench: {printable(' '.join(line.split()))}", file=sys.stderr)
+        print("\n  ".join([f"aoabench: {plain[0]}", *plain[1:]]), file=sys.stderr)
 
 
 @contextmanager

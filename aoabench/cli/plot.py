@@ -11,8 +11,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from aoabench.cli.common import Choice, Command, echo, estimator_names, run_argument, say
-
-KINDS = ("cdf", "box", "violin", "curve", "heatmap", "time", "pairs")
+from aoabench.errors import RunError, UserError
+from aoabench.report.runs.kinds import KINDS
 
 
 def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -23,7 +23,6 @@ def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> l
 
 def _columns(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Completions: the columns that differ between the cells and estimators of the run."""
-    from aoabench.errors import RunError, UserError
     from aoabench.report.runs.source import read, varied
 
     try:
@@ -38,15 +37,15 @@ def _columns(ctx: click.Context, _param: click.Parameter, incomplete: str) -> li
 @click.option(
     "--kind",
     type=Choice(KINDS),
-    help="The kind of figure.  [default: a curve if one parameter with numbers was swept, a heatmap "
-    "if several were, else a cdf]",
+    help="The kind of figure.  [default: a curve if one parameter with numbers was swept, a "
+    "heatmap if several were, else a cdf]",
 )
 @click.option(
     "--metric",
     shell_complete=_metrics,
-    help="What is drawn: a numeric column of replications.parquet or failure_rate, as in `compare`; "
-    "for a curve or heatmap also a column of summary.parquet with an interval (cep50_m ...); for "
-    "cdf, box, violin and time the error of each fix: error_3d_m, error_xy_m, error_z_m.  "
+    help="What is drawn: a numeric column of replications.parquet or failure_rate, as in "
+    "`compare`; for a curve or heatmap also a column of summary.parquet with an interval (cep50_m "
+    "...); for cdf, box, violin and time the error of each fix: error_3d_m, error_xy_m, error_z_m. "
     "[default: the 3-D error of each fix if it is stored, else rmse_3d_m]",
 )
 @click.option(
@@ -115,9 +114,18 @@ def plot(
     made = drawing.prepare(run, Asked(kind, metric, by, keys, baseline), where)
     if kind is None:
         others = ", ".join(made.choice.others)
-        say_choice = f"--kind {made.choice.kind} fits this run; it can show {others} too"
-        echo(f"aoabench: {say_choice}", file=sys.stderr)
+        chosen = f"kind={made.choice.kind} is drawn; this run can show {others} too"
+        echo(f"aoabench: {chosen}", file=sys.stderr)
     path = out or run / "plots" / f"{made.choice.kind}.png"
-    words = sys.argv[1:] if sys.argv[1:2] == ["plot"] else ["plot", str(run)]
-    writing.write(made, path, shlex.join(["aoabench", *words]))
+    given = {"metric": metric, "by": by, "over": over, "baseline": baseline}
+    words = ["aoabench", "plot", str(run), "--kind", made.choice.kind]
+    words += [word for key, value in given.items() if value for word in (f"--{key}", value)]
+    words += [word for condition in where for word in ("--where", condition)]
+    try:
+        writing.write(made, path, shlex.join([*words, "-o", str(path)]))
+    except PermissionError as error:  # another user's run, or an archive
+        if out is not None:
+            raise
+        again = "name another file with -o"
+        raise RunError(f"{path} cannot be written: {error.strerror}; {again}") from None
     say(f"{made.choice.kind}: {path}")

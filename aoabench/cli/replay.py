@@ -8,10 +8,14 @@ from pathlib import Path
 import click
 
 from aoabench.cli.common import Choice, Command, echo, estimator_names, run_argument
+from aoabench.errors import UserError, shorten
 
 
 @click.command(cls=Command)
 @run_argument
+@click.argument(
+    "words", nargs=-1, metavar="[plugins=[...]]", help="Your own packages, as the run named them."
+)
 @click.option(
     "--replication", type=int, required=True, metavar="N", help="Number of the replication, >= 0."
 )
@@ -19,9 +23,7 @@ from aoabench.cli.common import Choice, Command, echo, estimator_names, run_argu
     "--estimator", required=True, shell_complete=estimator_names, help="Name of the estimator."
 )
 @click.option("--cell", help="Name of the cell, needed if the run has several cells.")
-@click.option(
-    "--plugins", default="", help="Your own packages that the run used, separated by commas."
-)
+@click.option("--plugins", default="", help="The same, separated by commas.")
 @click.option(
     "--export",
     type=Choice(["csv", "parquet"]),
@@ -29,6 +31,7 @@ from aoabench.cli.common import Choice, Command, echo, estimator_names, run_argu
 )
 def replay(
     run: Path,
+    words: tuple[str, ...],
     replication: int,
     estimator: str,
     cell: str | None,
@@ -46,11 +49,18 @@ def replay(
 
     `aoabench run --worst N` prints the commands for the N worst replications.
     """
-    from aoabench.config.plugins import package_names
+    from aoabench.config.overrides import read
+    from aoabench.config.plugins import package_names, parse_plugins
     from aoabench.engine import replay_files
     from aoabench.engine.replay import replay as repeat
 
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
-    packages = package_names(name.strip() for name in plugins.split(",") if name.strip())
+    settings = read(words)
+    for setting in settings:
+        if setting.key != "plugins":
+            allowed = "replay repeats the run as it was; allowed: plugins=[...]"
+            raise UserError(f"{shorten(setting.word)}: {allowed}")
+    given = [name.strip() for name in plugins.split(",") if name.strip()]
+    packages = parse_plugins(settings) or package_names(given)
     done = repeat(run, replication, estimator, cell, packages)
     echo(replay_files.write(done, export))

@@ -42,8 +42,8 @@ class _Run(Command):
     nargs=-1,
     type=click.UNPROCESSED,
     shell_complete=override_items,
-    help="GROUP=NAME chooses a preset, GROUP=[NAME,NAME] several filters or estimators, KEY=VALUE "
-    "sets a key, ~KEY deletes it.",
+    help="GROUP=NAME chooses a preset, GROUP=[NAME,NAME] several filters or estimators, "
+    "GROUP=all those that fit, KEY=VALUE sets a key, ~KEY deletes it.",
 )
 @click.option(
     "-m",
@@ -101,12 +101,12 @@ def run(
           runner.out=results/raw/sigma
       aoabench run -m experiment=nurminen2018_frames reps=500
 
-    With --json: `out`, the folder; `seconds`, `computed`, `reused`; `cells`, each with its
-    `config`; `summary`, the rows of summary.parquet; `tags`, of recordings, the fixes of each tag
-    and estimator; `heavy_tails`, the estimators whose RMSE a few large errors decide; `not_ok`, the
-    estimators with fixes that are not ok, each with shares and the commonest reason; `errors`,
-    `precision`, `damaged`; `notes`, remarks about the input; `figures` of a recording; `worst`,
-    with --worst.
+    With --json: `out`, the folder; `seconds`, `computed`, `reused`; `cells`, each with its `config`
+    and in `left_out` the presets that `all` does not choose, with the reason; `summary`, the rows
+    of summary.parquet; `tags`, of recordings, the fixes of each tag and estimator; `heavy_tails`,
+    the estimators whose RMSE a few large errors decide; `not_ok`, the estimators with fixes that
+    are not ok, each with shares and the commonest reason; `errors`, `precision`, `damaged`;
+    `notes`, remarks about the input; `figures` of a recording; `worst`, with --worst.
     """
     if wants_help:
         click.echo(ctx.get_help())
@@ -140,10 +140,12 @@ def _refuse_flags(words: Sequence[str], command: click.Command) -> None:
 def _composed(words: Sequence[str], sweep: bool, config_dir: str | None) -> list[Cell]:
     """The cells of the overrides; print their notes."""
     from aoabench.config import compose
+    from aoabench.config.fit import left_out_text
     from aoabench.engine.faults import report
 
     cells = compose.compose_cells(words, config_dir=config_dir, sweep=sweep, say=report)
-    for line in dict.fromkeys(line for cell in cells for line in cell.notes):
+    notes = dict.fromkeys(line for cell in cells for line in cell.notes)
+    for line in (*notes, *left_out_text(cells)):
         echo(line, file=sys.stderr)
     return cells
 

@@ -13,6 +13,7 @@ from aoabench.cell import Cell
 from aoabench.cli.outcomes import not_ok, not_ok_text
 from aoabench.cli.tags import tags, tags_text, told
 from aoabench.columns import SUMMARY
+from aoabench.report.exported import differing
 from aoabench.report.tails import heavy_tails, heavy_tails_text
 from aoabench.report.text import NON_CAUSAL, interval_text, metric_title, shown_name
 
@@ -112,7 +113,7 @@ def _has_truth(cell: Cell) -> bool:
 
 def _table(found: Finished, mine: pd.DataFrame) -> str:
     """A line for each cell and estimator, with the parameters that differ between cells."""
-    swept = [c for c in found.parameters if mine[c].nunique(dropna=False) > 1]
+    swept = [c for c in differing(mine, ["scenario", "noise", *found.parameters]) if "." in c]
     shown = mine[["scenario", "noise", *swept, "estimator", "replications"]].copy()
     shown["estimator"] = [shown_name(*row) for row in zip(mine["estimator"], mine["causal"])]
     for name in _RMSE:
@@ -162,6 +163,7 @@ def run_json(found: Finished) -> dict[str, Any]:
                 "seed": cell.seed,
                 "replications": cell.reps,
                 "config": cell.config,
+                "left_out": cell.left_out,
             }
             for cell in found.cells.values()
         ],

@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
-import os
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePath
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-from aoabench.cell import Cell, RunnerOptions, Until
+from aoabench.cell import Cell, RunnerOptions
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
-from aoabench.config.fit import those_that_fit
+from aoabench.config.checks import check_names, check_top_level
+from aoabench.config.every import ByAll
+from aoabench.config.fit import Fitting, misbuilt, those_that_fit
 from aoabench.config.heard import remark, share_heard
 from aoabench.config.plugins import construct, import_plugins
-from aoabench.config.presets import options
+from aoabench.config.presets import LISTS, options
 from aoabench.config.recording import as_recorded
-from aoabench.errors import BadValue, UserError, check_number, did_you_mean
-from aoabench.roles import Estimator, Scenario
-
-_TOP_LEVEL = (
-    "scenario",
-    "noise",
-    "filter",
-    "estimator",
-    "runner",
-    "store",
-    "until",
-    "reps",
-    "seed",
-    "plugins",
-)
-
-_MOST_REPS = 1_000_000  # of a config; the command line may ask for more
+from aoabench.config.running import MOST_REPS, runner_options
+from aoabench.errors import BadValue, Mistakes, UserError, check_number
+from aoabench.roles import Estimator, Noise, Scenario
 
 
 @dataclass
@@ -58,43 +42,81 @@ class Builder:
         keys: Sequence[str] = (),
         typed: Iterable[str] = (),
         changed: Mapping[str, Any] | None = None,
+        by_all: ByAll | None = None,
     ) -> Cell:
         """Validate one composed and resolved job and return its cell.
 
         `choices`: the presets chosen; `keys`: the keys that the job sets; `typed`: the keys that
         the user's own command line sets; `changed`: the estimators' parameters that differ from
-        their presets. Raises UserError for every mistake that can be found before a run.
+        their presets; `by_all`: what `all` stands for. Raises UserError, ManyErrors for several,
+        for the mistakes that can be found before a run.
         """
-        typed = set(typed)
-        _check_top_level(plain, choices, self.plugins)
+        typed, mistakes, by_all = set(typed), Mistakes(), by_all or ByAll()
+        check_top_level(plain, choices, self.plugins, mistakes)
         import_plugins(self.plugins)
-        runner = self._runner(plain, typed)
-        if "reps" not in typed:
-            check_number("reps", plain["reps"], least=1, most=_MOST_REPS, integer=True)
-        scenario = self._object(plain["scenario"], "scenario", as_scenario)
-        plain, choices, notes = as_recorded(plain, choices, scenario, keys)
-        noise = self._object(plain["noise"], "noise", as_noise)
-        estimators = self._estimators(plain, choices.get("experiment"))
-        estimators |= _extra(plain, self.extra)
-        notes += self._heard(scenario, plain["seed"])
-        estimators, left_out = those_that_fit(estimators, scenario, noise, choices, keys)
-        notes += left_out
+        runner = mistakes.tried(self._runner, plain, typed)
+        if "reps" not in typed and isinstance(plain["reps"], int):
+            limits: dict[str, Any] = {"least": 1, "most": MOST_REPS, "integer": True}
+            mistakes.tried(check_number, "reps", plain["reps"], **limits)
+        found = self._plugged(plain, choices, keys, by_all, mistakes)
+        mistakes.check()
+        assert runner is not None
+        assert found is not None
+        left_out = {**by_all.left_out, **found.fitting.left_out}
+        estimators = found.fitting.estimators
         return Cell(
-            scenario_name=choices["scenario"],
-            noise_name=choices["noise"],
-            scenario=scenario,
-            noise=noise,
+            scenario_name=found.choices["scenario"],
+            noise_name=found.choices["noise"],
+            scenario=found.scenario,
+            noise=found.noise,
             estimators={path.partition(".")[2]: one for path, one in estimators.items()},
-            seed=plain["seed"],
-            reps=plain["reps"],
+            seed=found.plain["seed"],
+            reps=found.plain["reps"],
             runner=runner,
-            config=_config(plain, estimators),
-            changed=dict(changed or {}),
+            config=_config(found.plain, estimators),
+            changed=_without(left_out, changed or {}),
             swept=tuple(key for key in keys if "." in key),
-            experiment=choices.get("experiment"),
+            experiment=found.choices.get("experiment"),
             plugins=tuple(self.plugins),
-            notes=notes,
+            notes=found.notes,
+            left_out=left_out,
         )
+
+    def _plugged(
+        self,
+        plain: Mapping[str, Any],
+        choices: Mapping[str, Any],
+        keys: Sequence[str],
+        by_all: ByAll,
+        mistakes: Mistakes,
+    ) -> _Plugged | None:
+        """The scenario, the noise and the estimators that run; None if one of the two cannot be
+        built. What is wrong is entered in `mistakes`.
+        """
+        scenario = mistakes.tried(self._object, plain["scenario"], "scenario", as_scenario)
+        notes: tuple[str, ...] = ()
+        if scenario is not None and not mistakes.found:
+            plain, choices, notes = as_recorded(plain, choices, scenario, keys)
+        noise = mistakes.tried(self._object, plain["noise"], "noise", as_noise)
+        made = self._estimators(plain, choices.get("experiment"), mistakes)
+        left_out = _unbuilt(by_all, made, keys)
+        for error in made.wrong.values():
+            mistakes.note(error)
+        mistakes.tried(check_names, plain, self.extra)
+        if scenario is None or noise is None:
+            return None
+        if not mistakes.found:
+            notes += self._heard(scenario, plain["seed"])
+        nothing = Fitting({}, (), left_out)
+        if mistakes.found and scenario.tracks is not None:
+            # which estimators a recording does not suit depends on what else runs
+            return _Plugged(plain, choices, scenario, noise, nothing, notes)
+        words = scenario, noise, choices, keys, by_all.chosen
+        fit = mistakes.tried(those_that_fit, made.objects, *words) or nothing
+        fit = fit._replace(left_out={**left_out, **fit.left_out})
+        if by_all.words and not fit.estimators and not mistakes.found:
+            mistakes.note(_nothing_runs(by_all, choices, fit))
+        return _Plugged(plain, choices, scenario, noise, fit, (*notes, *fit.notes))
 
     def _object(self, node: Any, path: str, adopted: Callable[[Any, str], Any]) -> Any:
         """The object that a node describes, in its role; one for all cells if its classes are
@@ -110,9 +132,7 @@ class Builder:
     def _runner(self, plain: Mapping[str, Any], typed: set[str]) -> RunnerOptions:
         key = repr([plain.get(group) for group in ("runner", "store", "until")])
         if key not in self.runners:
-            runner = _runner(plain)
-            _check_reach(runner, typed)
-            self.runners[key] = replace(runner, out=_expanded(runner.out))
+            self.runners[key] = runner_options(plain, typed)
         return self.runners[key]
 
     def _heard(self, scenario: Scenario, seed: int) -> tuple[str, ...]:
@@ -125,27 +145,85 @@ class Builder:
             self.heard[always if found is None or found[1] else now] = remark(scenario, found)
         return self.heard.get(always) or self.heard.get(now, ())
 
-    def _estimators(self, plain: Mapping[str, Any], experiment: str | None) -> dict[str, Estimator]:
-        """Filters and estimators by their dotted keys."""
-        found: dict[str, Estimator] = {}
-        for group in ("filter", "estimator"):
+    def _estimators(
+        self, plain: Mapping[str, Any], experiment: str | None, mistakes: Mistakes
+    ) -> _Made:
+        """Filters, estimators and objects given as such (estimators.NAME), by their dotted keys."""
+        made = _Made({}, {})
+        for group in LISTS:
             nodes = plain.get(group) or {}
             if not isinstance(nodes, dict):
-                raise BadValue(
-                    group, nodes, f"{group}=[NAME,NAME] with presets of `aoabench list {group}`"
-                )
+                allowed = f"{group}=[NAME,NAME] with presets of `aoabench list {group}`"
+                mistakes.note(BadValue(group, nodes, allowed))
+                continue
             for name, node in nodes.items():
                 path = f"{group}.{name}"
                 bare = isinstance(node, dict) and "_target_" not in node
                 if bare and experiment and name in options(group):
                     continue  # an experiment's setting for a preset that this run leaves out
-                if f"filter.{name}" in found:
-                    raise UserError(
+                if f"filter.{name}" in made.objects:
+                    text = (
                         f"{path}: a filter has this name; "
                         "allowed: a name that no other filter or estimator has"
                     )
-                found[path] = self._object(node, path, as_estimator)
-        return found
+                    mistakes.note(UserError(text))
+                made.add(path, self._object, node, path, as_estimator)
+        for name, given in self.extra.items():
+            made.add(f"estimators.{name}", as_estimator, given, f"estimators[{name!r}]")
+        return made
+
+
+class _Made(NamedTuple):
+    """The estimators that were built, and the errors about the others, by their dotted keys."""
+
+    objects: dict[str, Estimator]
+    wrong: dict[str, UserError]
+
+    def add(self, path: str, build: Callable[..., Estimator], *arguments: Any) -> None:
+        """Build an estimator."""
+        try:
+            self.objects[path] = build(*arguments)
+        except UserError as error:
+            self.wrong[path] = error
+
+
+class _Plugged(NamedTuple):
+    """The objects of a cell, with the config and the choices that a recording changes."""
+
+    plain: Mapping[str, Any]
+    choices: Mapping[str, Any]
+    scenario: Scenario
+    noise: Noise
+    fitting: Fitting
+    notes: tuple[str, ...]
+
+
+def _unbuilt(by_all: ByAll, made: _Made, keys: Sequence[str]) -> dict[str, str]:
+    """The presets chosen by `all` that cannot be built as they are, with the reason, taken out of
+    the errors; those of which the job sets a key at fault stay there.
+    """
+    found = {}
+    for path, error in list(made.wrong.items()):
+        if path in by_all.chosen and isinstance(error, BadValue) and error.key not in keys:
+            found[path] = misbuilt(path, error)
+            del made.wrong[path]
+    return found
+
+
+def _nothing_runs(by_all: ByAll, choices: Mapping[str, Any], fit: Fitting) -> UserError:
+    """The error for a job in which nothing runs of what `all` stands for."""
+    why = "; ".join(dict.fromkeys(fit.left_out.values()))
+    scenario = choices["scenario"]
+    return UserError(
+        f"{by_all.words}: nothing runs with scenario={scenario} noise={choices['noise']}: {why}; "
+        f"`aoabench list --fits {scenario}` shows what does"
+    )
+
+
+def _without(left_out: Iterable[str], changed: Mapping[str, Any]) -> dict[str, Any]:
+    """The changed parameters without those of presets that are left out."""
+    heads = tuple(f"{path}." for path in left_out)
+    return {key: value for key, value in changed.items() if not key.startswith(heads)}
 
 
 def _config(plain: Mapping[str, Any], estimators: Mapping[str, Estimator]) -> dict[str, Any]:
@@ -167,123 +245,3 @@ def _names_class_of(plugins: Sequence[str], node: Any) -> bool:
         return False
     shipped = str(node.get("_target_", "aoabench.")).startswith("aoabench.")
     return not shipped or any(_names_class_of(plugins, item) for item in node.values())
-
-
-def _check_top_level(
-    plain: Mapping[str, Any], choices: Mapping[str, Any], plugins: Sequence[str]
-) -> None:
-    """Raise UserError for unknown keys, plugins from a file, reps, seed and missing groups."""
-    for key in plain:
-        if key not in _TOP_LEVEL:
-            hint = did_you_mean(str(key), _TOP_LEVEL) or "; allowed: " + ", ".join(_TOP_LEVEL)
-            raise UserError(f"{key}: unknown key{hint}")
-    if list(plain.get("plugins") or []) != list(plugins):
-        raise UserError(
-            f"plugins={plain.get('plugins')}: a file must not name plug-in packages; "
-            "allowed: plugins=[...] on the command line"
-        )
-    check_number("reps", plain.get("reps"), least=1, most=100_000_000, integer=True)
-    check_number("seed", plain.get("seed"), least=0, most=2**63 - 1, integer=True)
-    for group in ("scenario", "noise"):
-        if not isinstance(choices.get(group), str) or not plain.get(group):
-            raise UserError(
-                f"{group}={choices.get(group)}: exactly one preset is needed; "
-                f"allowed: {', '.join(options(group))}"
-            )
-
-
-def _extra(plain: Mapping[str, Any], extra: Mapping[str, Any]) -> dict[str, Estimator]:
-    """Estimators given as objects, by keys `estimators.NAME`; UserError for a job without any
-    preset or object as an estimator, and for invalid names.
-    """
-    presets = {**(plain.get("filter") or {}), **(plain.get("estimator") or {})}
-    for name in extra:
-        if name in presets:
-            raise UserError(
-                f"estimators[{name!r}]: a preset of this name is selected; choose another name"
-            )
-    for name in (*presets, *extra):
-        if not isinstance(name, str) or re.search(r"^\.|[/\\\x00-\x1f]", name):
-            raise UserError(
-                f"{name!r} is not allowed as the name of an estimator; "
-                "allowed: a text without slashes and without a dot as its first character"
-            )
-    if not presets and not extra:
-        known = ", ".join((*options("filter"), *options("estimator")))
-        raise UserError(
-            "filter=[], estimator=[]: at least one filter or estimator must be given, "
-            f"e.g. 'filter=[ekf_vmf]'; allowed: {known}"
-        )
-    return {f"estimators.{n}": as_estimator(e, f"estimators[{n!r}]") for n, e in extra.items()}
-
-
-def _runner(plain: Mapping[str, Any]) -> RunnerOptions:
-    runner = tuple(
-        f.name for f in dataclasses.fields(RunnerOptions) if f.name not in ("steps", "until")
-    )
-    until = tuple(f.name for f in dataclasses.fields(Until))
-    nodes: dict[str, dict[str, Any]] = {}
-    for path, known in (("runner", runner), ("store", ("steps",)), ("until", until)):
-        node = plain.get(path)
-        if not isinstance(node, dict):
-            raise BadValue(path, node, "keys " + ", ".join(known))
-        for key in node:
-            if key not in known:
-                hint = did_you_mean(key, known, path=f"{path}.") or f"; allowed: {', '.join(known)}"
-                raise UserError(f"{path}.{key}: unknown key{hint}")
-        nodes[path] = node
-    if "out" not in nodes["runner"]:
-        raise UserError("runner.out: missing; allowed: the path of a folder")
-    goal = nodes["until"]
-    if goal.get("metric") is None:
-        for key in ("se", "relative_se"):
-            if goal.get(key) is not None:
-                raise UserError(
-                    f"until.{key}={goal[key]} is not allowed without until.metric; "
-                    "allowed: together with a metric, e.g. until.metric=rmse_3d_m"
-                )
-        return RunnerOptions(**nodes["runner"], **nodes["store"])
-    return RunnerOptions(**nodes["runner"], **nodes["store"], until=Until(**goal))
-
-
-def _expanded(folder: str) -> str:
-    """The folder with the home folder in place of a leading ~; one that is called ~ gets its full
-    name, because Arrow too takes ~ for a home folder.
-    """
-    found = os.path.expanduser(folder)
-    return os.path.abspath(found) if str(PurePath(found)).startswith("~") else found
-
-
-def _check_reach(runner: RunnerOptions, typed: set[str]) -> None:
-    """Raise UserError if a config, not the command line, names a folder outside the working folder
-    or another machine, or very many replications.
-
-    Data from a scheduler are unpickled, so its owner could run code on this machine.
-    """
-    out = PurePath(runner.out)
-    if "runner.out" not in typed and (
-        out.is_absolute()
-        or ".." in out.parts
-        or runner.out.startswith("~")
-        or not Path(out).resolve().is_relative_to(Path.cwd().resolve())  # by a link
-    ):
-        allowed = (
-            "a folder below the working folder, "
-            "or any folder given as runner.out=... on the command line"
-        )
-        raise BadValue("runner.out", runner.out, allowed)
-    if "until.max_reps" not in typed and runner.until:
-        check_number("until.max_reps", runner.until.max_reps, least=1, most=_MOST_REPS)
-    own = (
-        runner.address in (None, os.environ.get("DASK_SCHEDULER_ADDRESS"))
-        or "runner.address" in typed
-    )
-    if not own:
-        allowed = (
-            "runner.address=... on the command line, "
-            "or the environment variable DASK_SCHEDULER_ADDRESS"
-        )
-        raise BadValue("runner.address", runner.address, allowed)
-    for name, file in runner.tls.items():
-        if file is not None and f"runner.{name}" not in typed:
-            raise BadValue(f"runner.{name}", file, f"runner.{name}=... on the command line")

@@ -8,11 +8,12 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
+from aoabench.config.every import SMOOTHER, variant_of
 from aoabench.config.messages import explained
 from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
-from aoabench.config.presets import GROUPS, LISTS, options
-from aoabench.errors import UserError, did_you_mean
+from aoabench.config.presets import GROUPS, LISTS, options, own_options, variants
+from aoabench.errors import BadValue, UserError, did_you_mean
 from aoabench.params import allowed, key_of
 from aoabench.roles import Estimator, Noise, Scenario
 
@@ -63,6 +64,25 @@ def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
             yield Parameter(f"{path}.{key}", value, *about)
 
 
+def own_presets(config_dir: str, plugin: str) -> dict[tuple[str, str], Any]:
+    """By group and name, the objects of the presets in a user's folder whose class is that of the
+    module `plugin`, or of a module in that package.
+
+    Raises UserError for a folder that does not exist and for a preset that cannot be built.
+    """
+    found = {}
+    for group in GROUPS[:4]:
+        for name in own_options(group, config_dir):
+            chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
+            plain = composed([chosen], config_dir, (plugin,))
+            path = f"{group}.{name}" if group in LISTS else group
+            node = plain[group][name] if group in LISTS else plain[group]
+            target = str(node.get("_target_", "")) if isinstance(node, dict) else ""
+            if target.startswith(f"{plugin}."):
+                found[group, name] = construct(node, path, (plugin,))
+    return found
+
+
 def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str, list[str]]]:
     """By group and name, the filters and estimators that run in a scenario, each with its possible
     noises.
@@ -75,12 +95,30 @@ def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str,
         raise UserError(f"--fits={scenario}: unknown scenario{hint}")
     found: dict[str, dict[str, list[str]]] = {group: {} for group in LISTS}
     for noise in options("noise", config_dir):
-        chosen = [f"scenario={scenario}", f"noise={noise}"]
-        plain = _composed([*chosen, *_every_estimator(config_dir)], config_dir)
-        place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
-        errors = as_noise(construct(plain["noise"], "noise"), "noise")
-        for group, name in _that_fit(plain, place, errors):
+        for group, name in fitting_presets(scenario, noise, config_dir):
             found[group].setdefault(name, []).append(noise)
+    return found
+
+
+def fitting_presets(
+    scenario: str, noise: str, config_dir: str | None = None
+) -> list[tuple[str, str]]:
+    """Group and name of the filters and estimators that run in a scenario with a noise."""
+    chosen = [f"scenario={scenario}", f"noise={noise}"]
+    plain = composed([*chosen, *_every_estimator(config_dir)], config_dir)
+    place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
+    errors = as_noise(construct(plain["noise"], "noise"), "noise")
+    return list(_that_fit(plain, place, errors))
+
+
+def not_in_all(config_dir: str | None = None) -> dict[str, dict[str, str]]:
+    """By group and name, the presets that `all` leaves out in every scenario, with the reason."""
+    nodes = composed(_every_estimator(config_dir), config_dir)
+    found: dict[str, dict[str, str]] = {}
+    for group in LISTS:
+        known = {name: variant_of(words) for name, words in variants(group, config_dir).items()}
+        causal = {n: as_estimator(construct(one, n), n).causal for n, one in nodes[group].items()}
+        found[group] = {n: SMOOTHER for n, one in causal.items() if not one} | known
     return found
 
 
@@ -124,16 +162,14 @@ def _shipped_nodes(group: str) -> dict[str, Any]:
     from hydra import compose
 
     with hydra_initialised():
-        composed = {
-            name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)
-        }
-    return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in composed.items()}
+        nodes = {name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)}
+    return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in nodes.items()}
 
 
 @cache
 def _shipped_estimators() -> dict[str, Any]:
     """The resolved config with all shipped filters and estimators."""
-    return _composed(_every_estimator())
+    return composed(_every_estimator())
 
 
 def _every_estimator(config_dir: str | None = None) -> list[str]:
@@ -141,13 +177,15 @@ def _every_estimator(config_dir: str | None = None) -> list[str]:
     return [f"{group}=[{','.join(options(group, config_dir))}]" for group in LISTS]
 
 
-def _composed(overrides: Sequence[str], config_dir: str | None = None) -> dict[str, Any]:
+def composed(
+    overrides: Sequence[str], config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> dict[str, Any]:
     """The resolved config with these overrides."""
     from hydra import compose
 
     with hydra_initialised(config_dir), explained((), config_dir):
         cfg = compose("config", overrides=list(overrides))
-        return resolved(plain_nodes(cfg, Speller()))
+        return resolved(plain_nodes(cfg, Speller(plugins)))
 
 
 def _that_fit(
@@ -156,7 +194,11 @@ def _that_fit(
     """Group and name of each estimator of a config that fits."""
     for group in LISTS:
         for name, node in plain[group].items():
-            if _fits(as_estimator(construct(node, name), name), scenario, noise):
+            try:
+                estimator = as_estimator(construct(node, name), name)
+            except BadValue:  # a model that is fitted to another kind of noise
+                continue
+            if _fits(estimator, scenario, noise):
                 yield group, name
 
 

@@ -12,17 +12,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from aoabench.config.every import ByAll, expanded
+from aoabench.config.messages import NotComposed
 from aoabench.config.nodes import is_open
 
 
 class Composed(NamedTuple):
     """A composed config as plain nodes, without Hydra's own node and with interpolations
-    unresolved; `base`, the same before values were set; the preset that is chosen of each group.
+    unresolved; `base`, the same before values were set; the preset that is chosen of each group;
+    what `all` stands for; Hydra's exceptions about the values that it could not set.
     """
 
     nodes: Mapping[str, Any]
     base: Mapping[str, Any]
     choices: Mapping[str, Any]
+    by_all: ByAll
+    problems: Sequence[Exception]
 
 
 @dataclass(frozen=True)
@@ -39,29 +44,42 @@ class _Base:
 class Composer:
     """Composes jobs, given as lines of overrides; use it where Hydra is initialised.
 
-    The nodes of different jobs share parts; they must not be changed.
+    The nodes of different jobs share parts; they must not be changed. `config_dir`: the user's own
+    presets, for `filter=all`.
     """
 
+    config_dir: str | None = None
     bases: dict[tuple[str, ...], _Base] = field(default_factory=dict)
     parsed: dict[str, Any] = field(default_factory=dict)
     groups: dict[str, bool] = field(default_factory=dict)
 
     def composed(self, lines: Sequence[str]) -> Composed:
-        """The config of a job."""
+        """The config of a job; NotComposed if a preset does not exist."""
+        lines, by_all = self._expanded(lines)
         overrides = [self._override(line) for line in lines]
         values = [one for one in overrides if not self._chooses(one)]
         base = self._base([line for line, one in zip(lines, overrides) if self._chooses(one)])
-        return Composed(_with(values, base), base.nodes, base.choices)
+        nodes, problems = _with(values, base)
+        return Composed(nodes, base.nodes, base.choices, by_all, problems)
 
     def sweep(self, lines: Sequence[str]) -> Mapping[str, Any]:
         """The sweep that the experiment of a job defines: values by key, resolved."""
         from hydra import compose
 
+        lines, _ = self._expanded(lines)
         found = self._base([line for line in lines if self._chooses(self._override(line))]).sweep
         if not is_open(found):
             return found
         cfg = compose("config", overrides=list(lines), return_hydra_config=True)
         return dict(cfg.hydra.sweeper.params.items())
+
+    def _expanded(self, lines: Sequence[str]) -> tuple[list[str], ByAll]:
+        """The lines with presets in place of `all`, and what it stands for."""
+        each = [expanded(line, self._override(line), self.config_dir) for line in lines]
+        by_all = ByAll()
+        for _, one in each:
+            by_all |= one
+        return [line for line, _ in each], by_all
 
     def _base(self, lines: Sequence[str]) -> _Base:
         """The config of overrides that choose presets."""
@@ -69,7 +87,10 @@ class Composer:
         from omegaconf import OmegaConf, open_dict
 
         if tuple(lines) not in self.bases:
-            cfg = compose("config", overrides=list(lines), return_hydra_config=True)
+            try:
+                cfg = compose("config", overrides=list(lines), return_hydra_config=True)
+            except Exception as error:
+                raise NotComposed(_alone(lines) or {"": error}) from error
             choices = dict(cfg.hydra.runtime.choices)
             sweep: Any = OmegaConf.to_container(cfg.hydra.sweeper, resolve=False)
             with open_dict(cfg):
@@ -101,8 +122,22 @@ class Composer:
         return bool(self.groups[key]) and not isinstance(override.value(), dict)
 
 
-def _with(values: Sequence[Any], base: _Base) -> Mapping[str, Any]:
-    """The nodes of a config with the values of parsed overrides set.
+def _alone(lines: Sequence[str]) -> dict[str, Exception]:
+    """The exceptions of the lines that Hydra refuses even alone."""
+    from hydra import compose
+
+    found: dict[str, Exception] = {}
+    for line in lines:
+        try:
+            compose("config", overrides=[line])
+        except Exception as error:
+            found[line] = error
+    return found
+
+
+def _with(values: Sequence[Any], base: _Base) -> tuple[Mapping[str, Any], list[Exception]]:
+    """The nodes of a config with the values of parsed overrides set, and Hydra's exceptions about
+    those that it could not set.
 
     A value can reach other top-level keys than its own by interpolations only. Where its own key
     holds none, only the nodes of the values' own keys are copied.
@@ -110,27 +145,34 @@ def _with(values: Sequence[Any], base: _Base) -> Mapping[str, Any]:
     from omegaconf import OmegaConf
 
     if not values:
-        return base.nodes
+        return base.nodes, []
     own = {one.key_or_group.partition(".")[0] for one in values}
     if is_open([base.nodes.get(key) for key in own]) or is_open([one.value() for one in values]):
         whole = copy.deepcopy(base.cfg)
-        _set(values, whole)
+        problems = _set(values, whole)
         nodes: Any = OmegaConf.to_container(whole, resolve=False)
-        return dict(nodes)
+        return dict(nodes), problems
     part = OmegaConf.masked_copy(base.cfg, [key for key in base.nodes if key in own])
     OmegaConf.set_struct(part, True)
-    _set(values, part)
+    problems = _set(values, part)
     changed: Any = OmegaConf.to_container(part, resolve=False)
-    return {**{key: node for key, node in base.nodes.items() if key not in own}, **changed}
+    rest = {key: node for key, node in base.nodes.items() if key not in own}
+    return {**rest, **changed}, problems
 
 
-def _set(values: Sequence[Any], cfg: Any) -> None:
-    """Set the values of parsed overrides in a composed config, and raise what Hydra raises."""
+def _set(values: Sequence[Any], cfg: Any) -> list[Exception]:
+    """Set the values of parsed overrides in a composed config; the exceptions that Hydra raises."""
     from hydra._internal.config_loader_impl import ConfigLoaderImpl
     from hydra.errors import ConfigCompositionException
     from omegaconf.errors import OmegaConfBaseException
 
-    try:
-        ConfigLoaderImpl._apply_overrides_to_config(list(values), cfg)
-    except OmegaConfBaseException as error:
-        raise ConfigCompositionException from error
+    found: list[Exception] = []
+    for one in values:
+        try:
+            ConfigLoaderImpl._apply_overrides_to_config([one], cfg)
+        except OmegaConfBaseException as error:
+            found.append(ConfigCompositionException())
+            found[-1].__cause__ = error
+        except Exception as error:
+            found.append(error)
+    return found

@@ -4,42 +4,63 @@ from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from aoabench.config.overrides import Setting
-from aoabench.config.presets import GROUPS, options
-from aoabench.errors import UserError, did_you_mean, shorten
+from aoabench.config.presets import ALL, GROUPS, LISTS, options
+from aoabench.errors import Mistakes, UserError, did_you_mean, shorten
 from aoabench.maths.digest import flatten
+
+
+class NotComposed(Exception):
+    """Hydra refuses choices of presets: its exceptions, by the lines of overrides at fault."""
+
+    def __init__(self, errors: Mapping[str, Exception]) -> None:
+        self.errors = dict(errors)
+        super().__init__(*map(str, errors.values()))
 
 
 @contextmanager
 def explained(settings: Sequence[Setting], config_dir: str | None = None) -> Iterator[None]:
-    """Turn the exceptions of Hydra, OmegaConf and the YAML parser into one clear line."""
-    import yaml
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
+    """Turn the exceptions of Hydra, OmegaConf and the YAML parser into one clear line each."""
     try:
         yield
     except UserError:
         raise
-    except RecursionError:
+    except NotComposed as error:
+        mistakes = Mistakes()
+        for one in error.errors.values():
+            mistakes.note(explain(one, settings, config_dir))
+        mistakes.check()
+    except Exception as error:
+        raise explain(error, settings, config_dir) from None
+
+
+def explain(
+    error: Exception, settings: Sequence[Setting], config_dir: str | None = None
+) -> UserError:
+    """An exception of Hydra, OmegaConf or the YAML parser as one clear line; raises any other."""
+    import yaml
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    if isinstance(error, UserError):
+        return error
+    if isinstance(error, RecursionError):
         words = shorten(" ".join(shorten(s.word) for s in settings)) or "this config"
-        raise UserError(
+        return UserError(
             f"{words}: cannot be composed: a value is nested too deeply, "
             "or a config contains itself"
-        ) from None
-    except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(_explain(error, settings, config_dir)) from None
-    except (ValueError, TypeError, AssertionError, yaml.YAMLError) as error:
-        # Hydra's own, e.g. of noise=null
-        raise UserError(_not_composed(error, settings)) from None
-    except OSError as error:  # Hydra's own, of the name of a preset
-        if error.errno != errno.ENAMETOOLONG:
-            raise
+        )
+    if isinstance(error, HydraException | OmegaConfBaseException):
+        return UserError(_explain(error, settings, config_dir))
+    if isinstance(error, ValueError | TypeError | AssertionError | yaml.YAMLError):
+        return UserError(_not_composed(error, settings))  # Hydra's own, e.g. of noise=null
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
         longest = max((s.word for s in settings), key=len, default="")
-        raise UserError(f"{shorten(longest)}: too long for the name of a preset") from None
+        return UserError(f"{shorten(longest)}: too long for the name of a preset")
+    raise error
 
 
 def _explain(error: Exception, settings: Sequence[Setting], config_dir: str | None) -> str:
@@ -52,11 +73,7 @@ def _explain(error: Exception, settings: Sequence[Setting], config_dir: str | No
     if isinstance(error, MissingConfigException) and missing:
         group, _, name = str(missing).rpartition("/")
         known = list(getattr(error, "options", None) or options(group, config_dir))
-        hint = did_you_mean(name, known)
-        return (
-            f"{group or 'config'}={shorten(repr(name))}: unknown preset{hint or ';'} "
-            f"allowed: {', '.join(known) or 'none'}"
-        )
+        return unknown_preset(group or "config", name, known)
     text = str(error)
     for setting in settings:
         key = setting.key + (f"@{setting.package}" if setting.package else "")
@@ -69,6 +86,14 @@ def _explain(error: Exception, settings: Sequence[Setting], config_dir: str | No
         if f"{key} appears more than once" in text:
             return f"{word}: one {key} is chosen already; allowed: {word.lstrip('+')}"
     return _not_composed(error, settings)
+
+
+def unknown_preset(group: str, name: str, known: Sequence[str]) -> str:
+    """The message about a name that no preset of a group has."""
+    every = [ALL, *known] if group in LISTS else known
+    hint = did_you_mean(name, every)
+    allowed = f"{hint or ';'} allowed: {', '.join(every) or 'none'}"
+    return f"{group}={shorten(repr(name))}: unknown preset{allowed}"
 
 
 def _not_composed(error: Exception, settings: Sequence[Setting]) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 
 from aoabench.config.file_names import quoted, quoted_folder, quoted_names
 from aoabench.config.presets import GROUPS, LISTS, options
-from aoabench.errors import UserError, shorten
+from aoabench.errors import Mistakes, UserError, shorten
 
 # Keys whose values are names of files or folders. The user need not quote them: names that Hydra's
 # grammar cannot read as text are quoted here.
@@ -55,18 +55,21 @@ class Setting:
     @property
     def texts(self) -> list[str]:
         """All texts in the value, before and after Hydra removes escapes and quotes."""
-        return [self.line.partition("=")[2], *_leaves(self.value)]
+        return [self.line.partition("=")[2], *leaves(self.value)]
 
 
 def read(words: Iterable[str], sweep: bool = True) -> list[Setting]:
     """The words as settings; with `sweep`, commas in a file name separate values.
 
-    Raises UserError for a word that is no override or that Hydra's grammar cannot read.
+    Raises UserError for words that are no overrides or that Hydra's grammar cannot read.
     """
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parser = OverridesParser.create()
-    return [_read(parser, word, sweep) for word in words]
+    mistakes = Mistakes()
+    found = [mistakes.tried(_read, parser, word, sweep) for word in words]
+    mistakes.check()
+    return [setting for setting in found if setting is not None]
 
 
 def file_setting(key: str, path: object) -> str:
@@ -147,7 +150,7 @@ def _no_override(word: str) -> str:
     return f"{text}; did you mean '{known[close[0]]}'?" if close else text
 
 
-def _leaves(value: Any) -> Iterator[str]:
+def leaves(value: Any) -> Iterator[str]:
     """The texts in a parsed value, those of a sweep too."""
     from hydra.core.override_parser.types import ChoiceSweep, QuotedString
 
@@ -157,7 +160,7 @@ def _leaves(value: Any) -> Iterator[str]:
         value = [*value, *value.values()]
     if isinstance(value, list):
         for item in value:
-            yield from _leaves(item)
+            yield from leaves(item)
     else:
         yield value.text if isinstance(value, QuotedString) else str(value)
 

@@ -10,13 +10,13 @@ import dataclasses
 import importlib
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from aoabench.config.overrides import Setting
-from aoabench.errors import BadValue, UserError, did_you_mean
+from aoabench.errors import BadValue, Mistakes, UserError, did_you_mean
 from aoabench.maths.digest import default_of, no_default
-from aoabench.params import key_of
+from aoabench.params import check_field, key_of
 
 PLUG_INS = tuple(
     f"aoabench.{room}" for room in ("scenarios", "noise", "models", "filters", "estimators")
@@ -59,7 +59,7 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
     """The object that a plain YAML node describes; mappings need a `_target_`, lists and scalars
     stay as they are.
 
-    Raises UserError for an unknown, missing or invalid key.
+    Raises UserError for unknown, missing and invalid keys, all of them in one message.
     """
     if isinstance(node, list):
         return [construct(item, f"{path}[{i}]", plugins) for i, item in enumerate(node)]
@@ -71,30 +71,46 @@ def construct(node: Any, path: str, plugins: Sequence[str] = ()) -> Any:
             f"allowed: _target_ beside its keys ({', '.join(map(str, node)) or 'none'})"
         )
     cls = resolve(node["_target_"], path, plugins)
-    known = {key_of(f): f.name for f in dataclasses.fields(cls) if f.init}
-    arguments = {}
-    for key, value in node.items():
-        if key == "_target_":
-            continue
-        if key not in known:
-            hint = did_you_mean(str(key), known, path=f"{path}.")
-            raise UserError(f"{path}.{key}: unknown key{hint or '; allowed: ' + ', '.join(known)}")
-        arguments[known[key]] = construct(value, f"{path}.{key}", plugins)
-    missing = [
-        key_of(f)
-        for f in dataclasses.fields(cls)
-        if f.init
-        and f.name not in arguments
-        and f.default is f.default_factory is dataclasses.MISSING
-    ]
-    if missing:
-        raise UserError(f"{path}.{missing[0]}: missing, {cls.__name__} needs it")
+    mistakes = Mistakes()
+    arguments = _arguments(cls, node, path, plugins, mistakes)
+    for f in dataclasses.fields(cls):
+        if f.init and f.name not in arguments and no_default(f):
+            mistakes.note(UserError(f"{path}.{key_of(f)}: missing, {cls.__name__} needs it"))
+    mistakes.check()
     try:
         return cls(**arguments)
     except BadValue as error:
         raise BadValue(f"{path}.{error.key}", error.value, error.allowed) from None
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise UserError(f"{path}: {error}") from None
+
+
+def _arguments(
+    cls: Any, node: Mapping[str, Any], path: str, plugins: Sequence[str], mistakes: Mistakes
+) -> dict[str, Any]:
+    """The arguments of a class from a node's values; unknown keys and values out of range are
+    entered in `mistakes`.
+    """
+    known = {key_of(f): f for f in dataclasses.fields(cls) if f.init}
+    arguments = {}
+    for key, value in node.items():
+        if key == "_target_":
+            continue
+        if key not in known:
+            hint = (
+                did_you_mean(str(key), known, path=f"{path}.") or f"; allowed: {', '.join(known)}"
+            )
+            mistakes.note(UserError(f"{path}.{key}: unknown key{hint}"))
+            continue
+        before = len(mistakes.found)
+        given = mistakes.tried(construct, value, f"{path}.{key}", plugins)
+        arguments[known[key].name] = given
+        if len(mistakes.found) == before:
+            try:
+                check_field(known[key], given)
+            except BadValue as error:
+                mistakes.note(BadValue(f"{path}.{error.key}", error.value, error.allowed))
+    return arguments
 
 
 def parse_plugins(settings: Iterable[Setting]) -> tuple[str, ...]:

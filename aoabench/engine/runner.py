@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from aoabench.cell import Cell, Until
 from aoabench.engine.faults import KEPT, explained, report, writable
@@ -51,10 +53,16 @@ class RunReport:
         return f"RunReport({self.out}: {count}, {self.seconds:.3g} s)"
 
 
-def run(cells: Sequence[Cell], progress: bool | str = True, fresh: bool = False) -> RunReport:
-    """Compute the missing parts of all cells and make the tables. The cells share one runner.out.
-    With `fresh`, compute all of their parts and replace the stored ones. A text as `progress`
-    stands before the progress bar.
+def run(
+    cells: Sequence[Cell],
+    progress: bool | str = True,
+    fresh: bool = False,
+    tabulate: bool = True,
+) -> RunReport:
+    """Compute the missing parts of all cells, record the cells and make the tables. The cells share
+    one runner.out. With `fresh`, compute all of their parts and replace the stored ones. A text as
+    `progress` stands before the progress bar. Without `tabulate`, neither make tables nor measure
+    times; `collect` or the next run makes the tables.
 
     Raises UserError if the output folder cannot be written or holds anything but runs, or if code
     or a data file was changed after this process loaded it; RunError for an error during the run (a
@@ -69,7 +77,15 @@ def run(cells: Sequence[Cell], progress: bool | str = True, fresh: bool = False)
         for line in keys.notes:
             report(line)
         with locked(out, report) as lock:
-            return _Run(out, cells, keys, lock, progress, fresh).run()
+            return _Run(out, cells, keys, lock, progress, fresh).run(tabulate)
+
+
+def collect(out: Path, cells: Collection[str]) -> None:
+    """Make the tables of a folder whose cells `cells` were recorded by runs without tables. Raises
+    as `run` does.
+    """
+    with explained(out, KEPT), locked(out, report):
+        tables.collect(out, cells)
 
 
 class _Run:
@@ -93,14 +109,17 @@ class _Run:
         self.goal: dict[str, int] = {}  # by cell: number of replications to reach next
         self.stopped: dict[str, str] = {}  # by cell: the reason
         self.precision: dict[str, dict[str, dict[str, Any]]] = {}  # by cell and estimator
+        self.known: dict[str, np.ndarray] = {}  # by part key: the metric that is to be precise
         self.damaged: list[Path] = []
         self.machines = Machines(
             self.options.other_machines == "refuse", remote=self.options.backend == "dask"
         )
         self.computed = 0
 
-    def run(self) -> RunReport:
-        """Compute all cells and make the tables; RunError if a cell was stopped."""
+    def run(self, tabulate: bool) -> RunReport:
+        """Compute and record all cells, and make the tables if asked to; RunError if a cell was
+        stopped.
+        """
         begin = time.perf_counter()
         sweep(self.out, {key for one in self.keys.values() for key in one.values()})
         index.read(self.out, self.keys)  # raises before anything is computed
@@ -118,7 +137,7 @@ class _Run:
                 break
         self.lock.check()
         self.machines.compare(self.out, {key for one in self.keys.values() for key in one.values()})
-        reached = self._tabulate()
+        reached = self._record(tabulate)
         self.lock.check()
         if self.stopped:
             raise RunError("; ".join(self.stopped.values()))
@@ -177,7 +196,8 @@ class _Run:
                     done[name] = parts
                 self._check(cell, name)
             if cell.id not in self.stopped:
-                tasks += tasks_of(cell, self.keys[cell.id], self.origins[cell.id], done, goal)
+                keys, origin = self.keys[cell.id], self.origins[cell.id]
+                tasks += tasks_of(cell, keys, origin, done, goal, len(cells))
         self.machines.settle()
         return spread(tasks, idle(self.options))
 
@@ -217,7 +237,9 @@ class _Run:
         goal = self.goal[cell.id]
         rows: dict[str, dict[str, Any]] = {}
         for name, key in self.keys[cell.id].items():
-            mean = statistics.mean(values(self.out, key, until.metric, goal))
+            known = self.known.get(key, np.empty(0))
+            self.known[key] = values(self.out, key, until.metric, goal, known)
+            mean = statistics.mean(self.known[key])
             relative = mean.se / abs(mean.value) if mean.value else math.nan
             wanted = [(mean.se, until.se), (relative, until.relative_se)]
             reached = all(limit is None or error <= limit for error, limit in wanted)
@@ -234,10 +256,12 @@ class _Run:
         self.precision[cell.id] = rows
         return all(row["reached"] or math.isnan(row["mean"]) for row in rows.values())
 
-    def _tabulate(self) -> int:
-        """Make the tables and measure times; return the number of estimator-replications shown."""
+    def _record(self, tabulate: bool) -> int:
+        """Record the cells, and make the tables and measure times if asked to; return the number of
+        estimator-replications recorded.
+        """
         timings, shown = Timings(index.read(self.out, self.keys).timing()), 0
-        going = [cell for cell in self.cells if cell.id not in self.stopped]
+        going = [cell for cell in self.cells if tabulate and cell.id not in self.stopped]
         for cell in (c for c in going if c.reps < FEW):  # quickly measured
             timings.measure(cell, self.keys[cell.id])
         for cell in self.cells:
@@ -248,7 +272,8 @@ class _Run:
             shown += sum(reps.values())
             precision = self.precision.get(cell.id, {})
             record_cell(self.out, cell, keys, self.draws[cell.id], timings.known, reps, precision)
-        tables.collect(self.out, {cell.id for cell in self.cells})
+        if tabulate:
+            tables.collect(self.out, {cell.id for cell in self.cells})
         late: dict[str, Any] = {}
         for cell in going:
             late |= timings.measure(cell, self.keys[cell.id])

@@ -38,7 +38,7 @@ from aoabench.streams import PARTICLES, Streams
 from aoabench.types import Anchors, Batch, Estimates, Outcome, Reason
 
 KERNELS = "kernels.particle"
-_TILE_OF_PARTICLES = 4096  # the normals of so many particles remain in the processor's cache
+_TILE_OF_PARTICLES = 2**16  # more of them at once save no time and take more memory
 
 
 class Normals(Protocol):
@@ -115,7 +115,7 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
 
     @property
     def tile(self) -> int:  # type: ignore[override]
-        """One replication at a time, as the particles are the batch; more with few particles."""
+        """Several replications at a time, fewer the more particles they have; up to 16."""
         most = max(min(_TILE_OF_PARTICLES // self.particles, 16), 1)
         return 1 << (most.bit_length() - 1)
 
@@ -236,11 +236,13 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         table = weights_table(self.measurement, kind)
         if chosen is None:
             chosen = np.empty((R, 0, 2, N), dtype=np.float32)
+        Fs, Qs = (np.ascontiguousarray(A, dtype=float) for A in belief[2:])
+        roots = process_roots(Qs)
         for i, (replication, origin) in enumerate(zip(streams.replications, origins)):
-            F, Q = (np.ascontiguousarray(A[0], dtype=float) for A in belief.of(i)[2:])
+            F, root_Q = (A[min(i, len(A) - 1)] for A in (Fs, roots))
             noise = shared_normals(compiled, key, replication, T + 1, N, R)
             compiled.lap(
-                kind, N, noise, replication, *key, F, F @ origin - origin, process_roots(Q), root_P,
+                kind, N, noise, replication, *key, F, F @ origin - origin, root_Q, root_P,
                 coefficients[i], table, self.resample_below, out[i], chosen[i],
             )  # fmt: skip
         outcome = np.full((R, T), Outcome.OK, dtype=np.int8)

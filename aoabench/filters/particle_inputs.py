@@ -15,7 +15,7 @@ from aoabench.maths.geometry import Array
 from aoabench.roles import Measurement
 from aoabench.types import Anchors
 
-SHARED_BYTES = 2**26  # the normals of one replication are kept for the next filter up to this size
+SHARED_BYTES = 2**27  # the normals of one replication are kept for the next filter up to this size
 
 
 class _Shared(threading.local):

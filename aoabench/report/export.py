@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from aoabench.columns import REPLICATIONS
+from aoabench.columns import REPLICATIONS, unit_of
 from aoabench.errors import UserError, check_number, printable
 from aoabench.report.exported import Exported, by_value, exported, plain
 from aoabench.report.latex import latex
-from aoabench.report.text import shown_name, unit_of
+from aoabench.report.text import shown_name
 from aoabench.resources import version
 from aoabench.store import tables
 

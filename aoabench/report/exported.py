@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aoabench.columns import IDENTITY, SUMMARY, TIMING
+from aoabench.columns import IDENTITY, SUMMARY, TIMING, unit_of
 from aoabench.errors import UserError, did_you_mean
-from aoabench.report.text import interval_parts, metric_title, number_text, unit_of
+from aoabench.report.text import interval_parts, metric_title, number_text
 from aoabench.store import tables
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ class Exported:
     """A run's table: a row for each cell and estimator.
 
     frame: all columns that identify a row (`keys`), `replications`, `causal` and those of the
-    metrics. varied: the keys with several values, `estimator` last. fixed: the other keys, with
-    their values.
+    metrics. varied: the keys that tell the rows apart, `estimator` last. fixed: the keys with one
+    value, and that value.
     """
 
     run: Path
@@ -86,9 +86,10 @@ class Exported:
 
     @property
     def fixed(self) -> dict[str, Any]:
+        same = [k for k in self.keys if k not in ("cell", "estimator")]
+        same = [k for k in same if self.frame[k].nunique(dropna=False) == 1]
         first = self.frame.iloc[0]
-        known = [key for key in self.keys if key not in (*self.varied, "cell")]
-        return {key: first[key] for key in known if first[key] == first[key] and first[key] != ""}
+        return {k: first[k] for k in same if first[k] == first[k] and first[k] not in ("", None)}
 
     def shown(self, by: str | None = None) -> list[str]:
         """The columns that name the rows of a table for readers, with columns for each value of
@@ -101,7 +102,8 @@ class Exported:
     def replications(self) -> str:
         """The number of replications, or the smallest and largest, in words."""
         low, high = self.frame["replications"].min(), self.frame["replications"].max()
-        return f"{low} replications" if low == high else f"{low} to {high} replications"
+        many = "s" if high > 1 else ""
+        return (f"{low}" if low == high else f"{low} to {high}") + f" replication{many}"
 
 
 def exported(run: Path, metrics: Sequence[str] = ()) -> Exported:
@@ -138,9 +140,25 @@ def _varied(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     """The keys that tell the rows apart: those with several values, and the estimator; the cell's
     id only if the others do not suffice.
     """
-    some = [k for k in keys if k == "estimator" or frame[k].nunique(dropna=False) > 1]
-    without = [k for k in some if k != "cell"]
-    return some if frame.duplicated(without).any() else without
+    some = [*differing(frame, [k for k in keys if k not in ("cell", "estimator")]), "estimator"]
+    return ["cell", *some] if frame.duplicated(some).any() else some
+
+
+def differing(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
+    """The keys with several values in the frame; parameters of scenario and noise alone where they
+    differ between cells of the same scenario and noise, as another preset has other parameters.
+    """
+    some = [key for key in keys if frame[key].nunique(dropna=False) > 1]
+    presets = [key for key in ("scenario", "noise") if key in some]
+    if not presets:
+        return some
+    groups = frame.groupby(presets, dropna=False)
+    return [
+        key
+        for key in some
+        if not key.startswith(("scenario.", "noise."))
+        or (groups[key].nunique(dropna=False) > 1).any()
+    ]
 
 
 def by_value(table: Exported, by: str) -> list[tuple[Any, pd.DataFrame]]:

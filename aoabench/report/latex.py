@@ -26,7 +26,10 @@ _UNITS = {
     "s": r"\second",
     "ns": r"\nano\second",
     "m/s": r"\metre\per\second",
+    "m^2": r"\square\metre",
     "deg": r"\degree",
+    "rad": r"\radian",
+    "Hz": r"\hertz",
     "dB": r"\decibel",
     "dBm": "dBm",
     "GHz": r"\giga\hertz",
@@ -89,7 +92,8 @@ def _columns(metric: Metric, rows: pd.DataFrame, digits: int) -> Iterator[_Colum
     numbers = [value for value, _ in parts]
     yield _Column(_format(numbers), [number or _NONE for number in numbers])
     if metric.low or metric.se:
-        yield _Column("@{\\;}l", [error.replace("±", r"$\pm$") for _, error in parts])
+        marks = [error.replace("±", r"$\pm$").replace("inf", r"$\infty$") for _, error in parts]
+        yield _Column("@{\\;}l", marks)
 
 
 def _format(numbers: Sequence[str]) -> str:

@@ -5,10 +5,6 @@ from __future__ import annotations
 import re
 from math import floor, log10
 
-# endings of the names of columns and parameters, and the units that they stand for
-_UNITS = {"_m_s": "m/s", "_m": "m", "_s": "s", "_ns": "ns", "_deg": "deg", "_db": "dB"}
-_UNITS |= {"_dbm": "dBm", "_ghz": "GHz", "_khz": "kHz"}
-
 
 def printed_text(value: float | None, rounding: float) -> str:
     """A printed number with the paper's digits, `rounding` being half a unit of the last one."""
@@ -93,10 +89,3 @@ def metric_title(column: str) -> str:
             groups = found.groups()
             return words.format(*groups, axis=_AXES.get(groups[-1], ""))
     return _NAMES.get(column, column)
-
-
-def unit_of(name: str) -> str:
-    """The unit that the name of a column or parameter states: "m", "deg", "s" ...; "" if none."""
-    if name.startswith("seconds_"):
-        return "s"
-    return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")

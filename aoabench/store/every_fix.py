@@ -55,15 +55,15 @@ def fix_errors(out: Path, entry: Mapping[str, Any], axis: str) -> FixErrors | No
     fixes nor its steps are stored.
     """
     parts = intact_parts(out, entry["key"])
-    errors, tried = [], []
-    place = None
+    errors, tried, places = [], [], []
     for one, place in each_part(out, entry, parts):
         z = np.sqrt(np.maximum(one.error_3d_m**2 - one.error_xy_m**2, 0))
         error = {"3d": one.error_3d_m, "xy": one.error_xy_m, "z": z}[axis]
         errors.append(np.where(one.accepted, error, np.nan))
         tried.append(one.outcome >= 0)
+        places.append(place)
     if errors:
-        return FixErrors(np.concatenate(errors), np.concatenate(tried), place)
+        return FixErrors(np.concatenate(errors), np.concatenate(tried), places[0])
     if not entry["steps"]:
         return None
     column = f"error_{axis}_m"
@@ -87,7 +87,6 @@ def errors_over_time(out: Path, entry: Mapping[str, Any], axis: str) -> pd.DataF
     """A row for each step of a recorded estimator with stored steps: replication, step, time_s (NaN
     where simulated) and its error on an axis (as in `fix_errors`), NaN without a position.
     """
-    import pandas as pd
     import pyarrow as pa
 
     names = ["replication", "step", "time_s", f"error_{axis}_m", "outcome"]

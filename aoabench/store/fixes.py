@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +14,9 @@ import numpy as np
 from aoabench.errors import UserError
 from aoabench.store.accuracy import Errors
 from aoabench.store.clusters import Clusters, influences, position_sums
-from aoabench.store.folder import noted_parts
+from aoabench.store.folder import missing, noted_parts
 from aoabench.store.index import entry_of
-from aoabench.store.parts import Part, intact_parts
+from aoabench.store.parts import Part, intact_parts, missing_ranges
 from aoabench.types import Outcome
 
 if TYPE_CHECKING:
@@ -51,12 +51,6 @@ class Fixes:
     sigma_y_m: np.ndarray | None = None
     sigma_z_m: np.ndarray | None = None
 
-    def first(self, count: int) -> Fixes:
-        """The fixes of the first `count` replications."""
-        arrays = {f.name: getattr(self, f.name) for f in fields(Fixes)}
-        cut = {n: None if a is None else a[:count] for n, a in arrays.items()}
-        return Fixes(**cut)  # type: ignore[arg-type]
-
     @property
     def accepted(self) -> np.ndarray:
         """Whether a fix has a position with a known error (R, T)."""
@@ -70,34 +64,65 @@ _FOR_SUMS = ("error_3d_m", "error_xy_m", "iterations", "score", "anchors_used", 
 def fixes(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
     """Fixes of one estimator in one cell of the run in `out`; UserError if none are stored."""
     root = Path(out)
-    entry = entry_of(root, cell, estimator)
-    parts = [] if entry is None else intact_parts(root, entry["key"])
-    found: list[Fixes] = []
-    if entry is not None and (not parts or any("fixes" in part.files for part in parts)):
-        found = [_fixes(part) for part in noted_parts(root, entry, "fixes", parts=parts)]
-    if not found:
+    return fixes_of(root, cell, estimator, entry_of(root, cell, estimator))
+
+
+def fixes_of(out: Path, cell: str, estimator: str, entry: Mapping[str, Any] | None) -> Fixes:
+    """The fixes of an estimator from its entry in the record of a cell; UserError if none are
+    stored.
+    """
+    parts = [] if entry is None else intact_parts(out, entry["key"])
+    if entry is None or (parts and not any("fixes" in part.files for part in parts)):
         raise UserError(f"{out}: no fixes of {estimator!r} in cell {cell!r} are stored")
-    each = {f.name: [getattr(one, f.name) for one in found] for f in fields(Fixes)}
-    return Fixes(
-        **{n: None if any(a is None for a in v) else np.concatenate(v) for n, v in each.items()}  # type: ignore[arg-type]
-    )
+    gaps = missing_ranges([(part.start, part.stop) for part in parts], entry["reps"])
+    if gaps:
+        raise missing(out, entry, gaps[0][0])
+    return _OfParts(out, entry, parts)
+
+
+def _of_parts(name: str) -> Any:
+    """An array of `_OfParts`, which is read once."""
+    return cached_property(lambda fixes: fixes.column(name))
+
+
+class _OfParts(Fixes):
+    """The fixes of the intact parts of a recorded estimator; each array is read when it is first
+    asked for.
+    """
+
+    def __init__(self, out: Path, entry: Mapping[str, Any], parts: Sequence[Part]) -> None:
+        vars(self).update(column=partial(_column, out, entry, parts))  # the dataclass is frozen
+
+    error_3d_m = _of_parts("error_3d_m")
+    error_xy_m = _of_parts("error_xy_m")
+    iterations = _of_parts("iterations")
+    score = _of_parts("score")
+    anchors_used = _of_parts("anchors_used")
+    outcome = _of_parts("outcome")
+    place = _of_parts("place")
+    reason = _of_parts("reason")
+    imprecise = _of_parts("imprecise")
+    n_unmeasured = _of_parts("n_unmeasured")
+    sigma_x_m = _of_parts("sigma_x_m")
+    sigma_y_m = _of_parts("sigma_y_m")
+    sigma_z_m = _of_parts("sigma_z_m")
+
+
+def _column(
+    out: Path, entry: Mapping[str, Any], parts: Sequence[Part], name: str
+) -> np.ndarray | None:
+    """One array (R, T) of the fixes in some parts; None if a part lacks it."""
+    tables = list(noted_parts(out, entry, "fixes", ["replication", name], parts))
+    arrays = [_array(table, name) for table in tables]
+    known = [array for array in arrays if array is not None]
+    return np.concatenate(known) if len(known) == len(arrays) else None
 
 
 class Read(Mapping[str, Fixes]):
-    """The fixes of the first `count` replications by estimator, read when they are first asked for
-    by `reader` (`fixes` or `steps`) from one cell of the run in `out`.
-    """
+    """The fixes by estimator, each read by `reader` when it is first asked for."""
 
-    def __init__(
-        self,
-        reader: Callable[[Path, str, str], Fixes],
-        out: Path,
-        cell: str,
-        estimators: Iterable[str],
-        count: int,
-    ) -> None:
-        self._names = tuple(estimators)
-        self._read = cache(lambda name: reader(out, cell, name).first(count))
+    def __init__(self, reader: Callable[[str], Fixes], estimators: Iterable[str]) -> None:
+        self._names, self._read = tuple(estimators), cache(reader)
 
     def __getitem__(self, name: str) -> Fixes:
         if name not in self._names:
@@ -121,16 +146,23 @@ def steps(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
     Raises UserError if none are stored.
     """
     root = Path(out)
-    entry = entry_of(root, cell, estimator)
-    parts = [] if entry is None else intact_parts(root, entry["key"])
+    return steps_of(root, cell, estimator, entry_of(root, cell, estimator))
+
+
+def steps_of(out: Path, cell: str, estimator: str, entry: Mapping[str, Any] | None) -> Fixes:
+    """The fixes of `steps` of an estimator from its entry in the record of a cell; UserError if
+    none are stored.
+    """
+    parts = [] if entry is None else intact_parts(out, entry["key"])
     if entry is None or not any("steps" in part.files for part in parts):
         raise UserError(f"{out}: no steps of {estimator!r} in cell {cell!r}; set store.steps=true")
     columns = ["replication", "outcome", *_OF_STEPS]
     found: dict[str, list[np.ndarray]] = {name: [] for name in ("outcome", *_OF_STEPS)}
-    for part in noted_parts(root, entry, "steps", columns, parts):
-        count = len(set(part["replication"].to_pylist()))
-        codes = [Outcome[text.upper()] for text in part["outcome"].to_pylist()]
-        found["outcome"].append(np.array(codes, dtype=np.int8).reshape(count, -1))
+    for part in noted_parts(out, entry, "steps", columns, parts):
+        count = len(np.unique(part["replication"].to_numpy()))
+        texts = part["outcome"].combine_chunks().dictionary_encode()
+        code = np.array([Outcome[t.upper()] for t in texts.dictionary.to_pylist()], dtype=np.int8)
+        found["outcome"].append(code[texts.indices.to_numpy()].reshape(count, -1))
         for name in _OF_STEPS:
             found[name].append(part[name].to_numpy().reshape(count, -1))
     whole = {name: np.concatenate(arrays) for name, arrays in found.items()}
@@ -138,12 +170,16 @@ def steps(out: str | os.PathLike[str], cell: str, estimator: str) -> Fixes:
 
 
 def _fixes(part: pa.Table) -> Fixes:
-    arrays = {}
-    for f in fields(Fixes):
-        if f.name in part.column_names and part[f.name].null_count == 0:
-            column = part[f.name].combine_chunks()
-            arrays[f.name] = column.flatten().to_numpy(zero_copy_only=False).reshape(len(part), -1)
-    return Fixes(**arrays)
+    arrays = {f.name: _array(part, f.name) for f in fields(Fixes)}
+    return Fixes(**arrays)  # type: ignore[arg-type]
+
+
+def _array(part: pa.Table, name: str) -> np.ndarray | None:
+    """One array (R, T) of the fixes of a part; None if the part was stored without it."""
+    if name not in part.column_names or part[name].null_count:
+        return None
+    values = part[name].combine_chunks().flatten()
+    return np.asarray(values.to_numpy(zero_copy_only=False).reshape(len(part), -1))
 
 
 def clusters(

@@ -64,12 +64,12 @@ class Index:
         whose states differ from those that the tables show.
         """
         asked = {*cells, *self.fresh}
-        states = {row["cell"]: state_of(out, row) for row in self._rows(asked)}
+        states = {row["cell"]: state_of(out, row) for row in self.rows(asked)}
         changed = {c for c, state in states.items() if state != self.earlier.get(c, ("", 0))[0]}
         return self._with(states), changed
 
-    def _rows(self, cells: Collection[str]) -> Iterator[dict[str, Any]]:
-        """The rows of some cells."""
+    def rows(self, cells: Collection[str]) -> Iterator[dict[str, Any]]:
+        """The rows of some cells, those that the index has."""
         import pyarrow as pa
 
         asked = pa.array([cell in cells for cell in self.column("cell")], pa.bool_())

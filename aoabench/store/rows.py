@@ -61,18 +61,7 @@ class CellRows:
         return noted_parts(self.out, self.entries[name], kind, parts=self.parts[name])
 
     def _full(self, name: str, part: pa.Table, kind: str) -> pa.Table:
-        """A part's table with the columns of the cell and the estimator."""
-        import pyarrow as pa
-
-        full = self._schemas[kind]
-        same = {**{k: self.row[k] for k in IDENTITY[:4]}, "estimator": name}
-        columns = [
-            pa.repeat(pa.scalar(same[f.name], f.type), len(part))
-            if f.name in same
-            else part[f.name]
-            for f in full
-        ]
-        return pa.table(columns, schema=full)
+        return with_identity(part, self.row, name, self._schemas[kind])
 
     def _check_numbers(self, name: str, numbers: np.ndarray) -> None:
         """Raise RunError unless the replications are 0 ... reps-1."""
@@ -169,3 +158,17 @@ class CellRows:
                 }
             )
         return found
+
+
+def with_identity(part: pa.Table, row: Mapping[str, Any], name: str, full: pa.Schema) -> pa.Table:
+    """A part's table with the columns of the cell, from its `row` of the index, and the
+    estimator.
+    """
+    import pyarrow as pa
+
+    same = {**{k: row[k] for k in IDENTITY[:4]}, "estimator": name}
+    columns = [
+        pa.repeat(pa.scalar(same[f.name], f.type), len(part)) if f.name in same else part[f.name]
+        for f in full
+    ]
+    return pa.table(columns, schema=full)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aoabench.store.index import LEAF, Index
@@ -32,6 +32,21 @@ def swept_parameters(index: Index) -> dict[str, list[Any]]:
         varied |= {n for n in named if pc.any(pc.and_(mine, leaves[n].is_valid())).as_py()}
     keep = sorted(name for name in varied if not name.endswith("_target_") and name != "seed")
     return {name: _decoded(leaves[name]) for name in keep}
+
+
+def cell_table(index: Index, swept: Mapping[str, Sequence[Any]]) -> pd.DataFrame:
+    """A row per cell of the index, with a column per swept parameter and the resolved config."""
+    import pandas as pd
+
+    columns = ("cell", "experiment", "scenario", "noise", "seed")
+    estimators = [", ".join(entries) for entries in index.column("estimators")]
+    known = {name: index.column(name) for name in columns}
+    rest = {"estimators": estimators, "config": index.column("config")}
+    cells = pd.DataFrame({**known, **swept, **rest})
+    cells["experiment"] = cells["experiment"].astype("string")
+    for parameter in swept:
+        cells[parameter] = one_kind(cells[parameter])
+    return cells
 
 
 def _decoded(texts: pa.ChunkedArray) -> list[Any]:

@@ -35,7 +35,7 @@ from aoabench.store.files import (
 from aoabench.store.folder import read_record, replay_command, write_record
 from aoabench.store.index import Index
 from aoabench.store.rows import COLUMNS, CellRows
-from aoabench.store.swept import natural, one_kind, swept_parameters
+from aoabench.store.swept import cell_table, natural, one_kind, swept_parameters
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -132,7 +132,7 @@ class _Collect:
 
     def publish(self) -> None:
         """Write all tables and make them the current generation."""
-        cells = self._cell_table()
+        cells = cell_table(self.index, self.swept)
         files = {n: manifest.new_file(self.out, n) for n in ("cells", "tidy", "summary")}
         write_frame(files["cells"], cells, columns={})
         counts = self.index.column("rows")
@@ -144,20 +144,6 @@ class _Collect:
         files["failures"] = _write(self.out, "failures", self._failures_table())
         files |= _of_records(self.out, self.index)
         manifest.publish(self.out, files, self.index.before)
-
-    def _cell_table(self) -> pd.DataFrame:
-        """A row per cell, with a column per swept parameter and the resolved config."""
-        import pandas as pd
-
-        columns = ("cell", "experiment", "scenario", "noise", "seed")
-        estimators = [", ".join(entries) for entries in self.index.column("estimators")]
-        known = {name: self.index.column(name) for name in columns}
-        rest = {"estimators": estimators, "config": self.index.column("config")}
-        cells = pd.DataFrame(known | self.swept | rest)
-        cells["experiment"] = cells["experiment"].astype("string")
-        for parameter in self.swept:
-            cells[parameter] = one_kind(cells[parameter])
-        return cells
 
     def _rows_of(self, cell: str) -> pa.Table:
         """The replications of a changed cell; its summary and failures are noted."""

@@ -66,11 +66,8 @@ def write(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    dropped = ("config", "estimators")
-    extra = [c for c in cells.columns if c not in REPLICATIONS and c not in dropped]
-    beside = pa.Table.from_pandas(cells[extra], preserve_index=False)
-    outer = pa.schema([*schema(REPLICATIONS), *beside.schema.remove_metadata()])
-    outer = outer.with_metadata(schema(REPLICATIONS, provenance()).metadata)
+    beside = _beside(cells)
+    outer = _outer(beside)
     # a dictionary saves nothing for doubles
     repeated = [name for name in outer.names if REPLICATIONS.get(name) != "double"]
     names, counted = cells["cell"].tolist(), np.asarray(counts, dtype=int)
@@ -78,9 +75,43 @@ def write(
         for first, last in _batches(counted):
             rows = pa.concat_tables(_joined(names[first:last], rows_of, earlier))
             which = np.repeat(np.arange(first, last), counted[first:last])
-            same = beside.take(pa.array(which))
-            columns = [rows[name] for name in REPLICATIONS] + same.columns
-            writer.write_table(pa.table(columns, schema=outer))
+            writer.write_table(_together(rows, beside, which, outer))
+
+
+def table(cells: pd.DataFrame, rows: Mapping[str, pa.Table]) -> pa.Table:
+    """The table of those of the cells (as for `write`) of which `rows` has the replications."""
+    import pyarrow as pa
+
+    beside = _beside(cells)  # of all cells, which decide the columns' types
+    numbers = [i for i, cell in enumerate(cells["cell"]) if cell in rows]
+    mine = [rows[cell].replace_schema_metadata(None) for cell in cells["cell"].iloc[numbers]]
+    which = np.repeat(numbers, [len(one) for one in mine])
+    return _together(pa.concat_tables(mine), beside, which, _outer(beside))
+
+
+def _beside(cells: pd.DataFrame) -> pa.Table:
+    """The columns of the cells that are repeated beside the replications of each."""
+    import pyarrow as pa
+
+    dropped = ("config", "estimators")
+    extra = [c for c in cells.columns if c not in REPLICATIONS and c not in dropped]
+    return pa.Table.from_pandas(cells[extra], preserve_index=False)
+
+
+def _outer(beside: pa.Table) -> pa.Schema:
+    import pyarrow as pa
+
+    outer = pa.schema([*schema(REPLICATIONS), *beside.schema.remove_metadata()])
+    return outer.with_metadata(schema(REPLICATIONS, provenance()).metadata)
+
+
+def _together(rows: pa.Table, beside: pa.Table, which: np.ndarray, outer: pa.Schema) -> pa.Table:
+    """Replications, and beside each the row of its cell, whose number is in `which` (N,)."""
+    import pyarrow as pa
+
+    same = beside.take(pa.array(which, pa.int64()))
+    columns = [rows[name] for name in REPLICATIONS] + same.columns
+    return pa.table(columns, schema=outer)
 
 
 def _batches(counts: np.ndarray) -> Iterator[tuple[int, int]]:

@@ -8,7 +8,7 @@ README.md. Computing ends in Parquet; drawing starts from it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,14 +19,14 @@ from aoabench.errors import UserError
 from aoabench.kernels.loading import ahead
 from aoabench.resources import committing
 from aoabench.store.files import provenance, write_frame
-from aoabench.studies import findings, page, progress, screen, statements, stored, study
+from aoabench.studies import computing, findings, page, progress, screen, statements, stored, study
 from aoabench.studies.choice import Pair, cheapest_first, chosen
-from aoabench.studies.computing import Runs, compute
+from aoabench.studies.computing import Runs
 from aoabench.studies.decide import needs
+from aoabench.studies.pipeline import Echo, Pipeline, tell_problem, write_table
 from aoabench.studies.places import Places, of_scale
 from aoabench.studies.statements import Verdicts
 
-Echo = Callable[[str], None]
 README = Path("README.md")
 
 
@@ -77,22 +77,13 @@ def reproduce(
     pairs = cheapest_first(chosen(names, only, all_studies()), expected)
     writable(str(places.results), "--results")
     pace = progress.Pace(pairs, expected)
-    computed: list[dict[str, Any]] = []
-    problems: dict[tuple[str, str], str] = {}
-    runs = Runs(places.raw, fresh)
+    pipeline = Pipeline(scale, places, tuple(formats), echo, pace, Runs(places.raw, fresh))
     everything = only is None and not names
     with ahead() if everything else nullcontext():
-        for s, item in pairs:
-            title = f"{s.name} {item.name} ({pace.text()})"
-            row = _compute_table(s, item, scale, places, runs, title)
-            pace.done(row["seconds"])
-            computed.append(row)
-            rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s ({scale})"
-            echo(f"{rows}; {pace.text()}")
-            problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
+        pipeline.compute(pairs)
     if committing():
-        progress.note(scale, computed)
-    return Reproduced(computed, _conclude(pairs, problems, places, echo, every))
+        progress.note(scale, pipeline.computed)
+    return Reproduced(pipeline.computed, _conclude(pairs, pipeline.problems, places, echo, every))
 
 
 def decide(
@@ -126,32 +117,19 @@ def decide(
         echo(f"{s.name} {item.name}: N = {reps} instead of {fits[0].stored} for "
              f"{', '.join(fits[0].claims)}; {progress.duration(fits[0].expected_s)}")  # fmt: skip
         title = f"{s.name} {item.name}, N = {reps}"
-        computed.append(_compute_table(s, item, "paper", places, runs, title, reps))
+        now = time.perf_counter()
+        ran = computing.run(s, item, "paper", runs, title, reps)
+        took_s = time.perf_counter() - now
+        computed.append(write_table(s, item, "paper", places, runs, ran, took_s))
         problems[s.name, item.name] = _drawn(s, item, places, echo, formats)
     for need in wanted.items:
         echo(f"{', '.join(need.claims)}: N = {need.reps} takes about "
              f"{progress.duration(need.expected_s)}, beyond --budget")  # fmt: skip
     for claim, reason in wanted.left.items():
         echo(f"{claim}: {reason}")
+    for s in {s.name: s for s, _ in pairs}.values():
+        runs.tabulate(s)
     return Reproduced(computed, _conclude(pairs, problems, places, echo, every))
-
-
-def _compute_table(
-    s: study.Study,
-    item: study.Item,
-    scale: str,
-    places: Places,
-    runs: Runs,
-    title: str,
-    reps: int | None = None,
-) -> dict[str, Any]:
-    """Compute and store the table of an item; return its study, item, rows and seconds."""
-    begin = time.perf_counter()
-    frame, origin = compute(s, item, scale, runs, title, reps)
-    seconds = round(time.perf_counter() - begin, 2)
-    origin = {**provenance(origin), "scale": scale, "seconds": seconds}
-    write_frame(study.table_path(places.results, s, item), frame, origin)
-    return {"study": s.name, "item": item.name, "rows": len(frame), "seconds": seconds}
 
 
 def draw(
@@ -187,12 +165,9 @@ def draw(
 def _drawn(
     s: study.Study, item: study.Item, places: Places, echo: Echo, formats: Sequence[str]
 ) -> str:
-    """Draw an item and return the reason why its table cannot be used, or ""."""
-    problem = stored.draw(s, item, places, tuple(formats))
-    problem = problem or stored.read(s, item, places.results).problem
-    if problem:
-        again = f"aoabench reproduce {s.name} --only {item.name}{places.options}"
-        echo(f"{s.name} {item.name}: not computed: {problem}; {again}")
+    """Draw an item and return the reason why its table cannot be used, or "", and echo it."""
+    problem = stored.drawn(s, item, places, tuple(formats))
+    tell_problem(s, item, places, echo, problem)
     return problem
 
 

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 from collections.abc import Mapping
+from functools import lru_cache
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -101,9 +102,13 @@ def readings(markdown: str) -> str:
 
 def embedded(figure: Path, colours: int = 255) -> str:
     """A PNG as base64, with a palette instead of 24 bits a pixel where that makes it smaller."""
+    return _embedded(figure.read_bytes(), colours)
+
+
+@lru_cache(128)  # of figures drawn by this command
+def _embedded(original: bytes, colours: int) -> str:
     from PIL import Image  # matplotlib brings it
 
-    original = figure.read_bytes()
     with Image.open(io.BytesIO(original)) as image:
         small, held = io.BytesIO(), image.convert("RGB")
         held.quantize(colours, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(

@@ -57,6 +57,13 @@ def draw(study: Study, item: Item, places: Places, formats: tuple[str, ...] = ("
     return ""
 
 
+def drawn(study: Study, item: Item, places: Places, formats: tuple[str, ...] = ("png",)) -> str:
+    """Draw an item's figure as `draw` does, and return the reason why its table cannot be used for
+    figure and values, or "".
+    """
+    return draw(study, item, places, formats) or read(study, item, places.results).problem
+
+
 @dataclass(frozen=True)
 class Stored:
     """The content of an item's stored table."""

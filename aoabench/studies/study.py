@@ -36,6 +36,7 @@ class Item:
     judged_at: str = "paper"  # the scale that its claims need: paper, or any
     counts: str = "replications"  # the independent units behind its standard errors
     basis: str = ""  # what the claims on it rest on, shown beside each verdict
+    times: bool = False  # it measures times: nothing else is computed meanwhile
     after: str | None = None  # item that has a part of its replications and is computed before it
 
     @property

@@ -186,7 +186,9 @@ def test_xarray_has_a_dimension_for_each_key(small_run, summary, tmp_path, call)
             at = found.sel(noise=row.noise, estimator=row.estimator)
             assert float(at[NAME]) == row.rmse_mean_3d_m
             assert float(at[f"{NAME}_low"]) == row.rmse_mean_3d_m_low
-            assert float(at["rmse_3d_m"].mean()) == pytest.approx(row.rmse_mean_3d_m, rel=1e-12)
+            assert float(at["rmse_3d_m"].mean()) == pytest.approx(
+                row.rmse_mean_3d_m, rel=1e-12, abs=0
+            )
         assert found[NAME].attrs == {"units": "m", "long_name": "mean RMSE 3-D"}
         assert found.attrs["scenario"] == "square_track"
         assert found["causal"].values.all()

@@ -15,6 +15,12 @@ def test_mistakes_and_a_replay(call, small_run):
     status, _, err = call(*words, "ekf_vmf", "--cell", cell, "--plugins", "os; rm")
     assert status == 2
     assert "plugins='os; rm'" in err
-    status, out, err = call(*words, "ekf_vmf", "--cell", cell, "-q")
+    status, _, err = call(*words, "ekf_vmf", "--cell", cell, "plugins=[no_such_package]")
+    assert status == 2
+    assert "plugins=[no_such_package]: cannot be imported" in err
+    status, _, err = call(*words, "ekf_vmf", "--cell", cell, "noise=vmf")
+    assert status == 2
+    assert "noise=vmf: replay repeats the run as it was; allowed: plugins=[...]" in err
+    status, out, err = call(*words, "ekf_vmf", "--cell", cell, "plugins=[]", "-q")
     assert (status, err) == (0, "")
     assert "(as stored)" in out

@@ -21,7 +21,7 @@ WINGS = [
     ("studies",),
     ("experiments",),
     ("__init__",),
-    ("deployment",),
+    ("deployment", "testing"),
     ("engine",),
     ("config",),
     ("filters", "estimators", "scenarios", "noise", "report"),
@@ -45,7 +45,7 @@ DYNAMIC = {
     "aoabench/kernels/loading.py": (2, ("kernels",)),
     "aoabench/engine/dask.py": (1, ()),  # the modules of plug-ins, on the scheduler
 }
-MOST_ROOMS = 26
+MOST_ROOMS = 27
 FILES = sorted(
     file
     for folder in ("aoabench", "experiments", "benchmarks")
@@ -185,8 +185,10 @@ def test_heavy_imports_only_where_used(code, absent):
 
 
 def test_no_pickle_and_no_eval():
+    """Only the tests of plug-ins pickle, an object of this process on its way to a copy of it."""
     for file in FILES:
-        assert not {"pickle", "cloudpickle", "dill"} & set(imported(file)), file
+        may = file == PACKAGE / "testing" / "copies.py"
+        assert may or not {"pickle", "cloudpickle", "dill"} & set(imported(file)), file
         calls = [n.func for n in ast.walk(tree_of(file)) if isinstance(n, ast.Call)]
         names = {function.id for function in calls if isinstance(function, ast.Name)}
         allowed = {"compile"} if file.name == "loaded.py" else set()  # to compare, not to run

@@ -14,7 +14,7 @@ from aoabench.engine import recording, runner
 from aoabench.engine.block import run_block
 from aoabench.engine.draws import Draws
 from aoabench.engine.tiles import tile_of
-from aoabench.errors import BadValue
+from aoabench.errors import BadValue, ManyErrors
 from aoabench.estimators.anchors import RssiAnchor, SingleAnchor
 from aoabench.estimators.lines import LineLeastSquares
 from aoabench.estimators.robust import RobustLikelihood
@@ -331,7 +331,7 @@ def test_methods_that_cannot_run_are_left_out_with_their_reason():
     some = {"estimator.rssi": RssiAnchor(), "estimator.lines": LineLeastSquares()}
     some |= {"estimator.ninth": SingleAnchor(anchor=9)}
     choices = {"scenario": "recorded", "noise": "recorded"}
-    fit, lines = those_that_fit(some, site, RecordedNoise(), choices)
+    fit, lines, _ = those_that_fit(some, site, RecordedNoise(), choices)
     assert list(fit) == ["estimator.lines"]
     assert lines[0].startswith(
         "estimator.rssi does not run: it needs a recording that measures signal"
@@ -342,7 +342,7 @@ def test_methods_that_cannot_run_are_left_out_with_their_reason():
     with pytest.raises(BadValue, match=r"estimator\.ninth\.anchor"):
         those_that_fit(some, site, RecordedNoise(), choices, ("estimator.ninth.anchor",))
     del some["estimator.lines"]
-    with pytest.raises(BadValue, match=r"which estimator\.rssi needs"):
+    with pytest.raises(ManyErrors, match=r"(?s)2 mistakes.*ninth.*which estimator\.rssi needs"):
         those_that_fit(some, site, RecordedNoise(), choices)
 
 

@@ -10,7 +10,7 @@ import aoabench
 from aoabench.maths import intervals, statistics
 from aoabench.report.tails import heavy_tails, heavy_tails_text
 from aoabench.store import fixes as fixes_module
-from aoabench.store import manifest, tables
+from aoabench.store import manifest, recorded, tables
 from aoabench.store.files import write_frame
 from aoabench.store.fixes import clusters
 from aoabench.types import Estimates, Outcome
@@ -74,11 +74,11 @@ def test_packets_of_one_position_are_one_cluster_in_the_summary(tmp_path):
     assert summary["largest_share"] == pytest.approx(square.max() / square.sum())
     read = []
 
-    def reader(*which):
-        read.append(which[2])
-        return fixes_module.fixes(*which)
+    def reader(name):
+        read.append(name)
+        return recorded.fixes(tmp_path, cell, name, 3)
 
-    lazy = fixes_module.Read(reader, tmp_path, cell, ["anchor_mean", "choosy"], 3)
+    lazy = fixes_module.Read(reader, ["anchor_mean", "choosy"])
     assert list(lazy) == ["anchor_mean", "choosy"]
     assert "absent" not in lazy
     assert read == []

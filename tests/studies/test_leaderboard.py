@@ -1,5 +1,7 @@
 """Leaderboards against the stored replications: RMSE, reference, bound, coverage, figure."""
 
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from aoabench.config import catalogue
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.engine.draws import Draws
-from aoabench.store import tables
+from aoabench.store import recorded, tables
 from aoabench.store.fixes import fixes, steps
 from aoabench.studies import study
 
@@ -85,9 +87,10 @@ def test_the_figure_draws_each_bar_or_cuts_and_labels_it(board):
 
 
 def test_the_first_replications_are_taken_alone(board):
-    _, _, found, _, _ = board
-    one = next(iter(found.values()))
-    two = one.first(2)
+    name, cell, found, _, _ = board
+    read = {"ble_room": recorded.fixes, "square_track": recorded.steps}[name]
+    estimator, one = next(iter(found.items()))
+    two = read(Path(cell.runner.out), cell.id, estimator, 2)
     assert len(two.error_3d_m) == len(two.outcome) == 2
     assert np.array_equal(two.error_3d_m, one.error_3d_m[:2], equal_nan=True)
 

@@ -501,7 +501,7 @@ def test_anchors_of_each_step(which, rng):
     assert np.allclose(fast.covariance, exact.covariance, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize(("particles", "tile"), [(100, 16), (1000, 4), (3000, 1), (10_000, 1)])
+@pytest.mark.parametrize(("particles", "tile"), [(100, 16), (1000, 16), (10_000, 4), (50_000, 1)])
 def test_a_tile_has_the_bits_of_each_of_its_replications(particles, tile):
     cell = cell_with("pf_ae_adaptive", "noise=vmf")
     estimator = replace(next(iter(cell.estimators.values())), particles=particles)

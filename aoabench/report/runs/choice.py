@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from aoabench.errors import UserError, did_you_mean, listed
+from aoabench.report.runs.kinds import AXES, DISTRIBUTIONS, KINDS
 from aoabench.report.runs.metrics import ERRORS, SUMMARIES, check_metric
 from aoabench.report.runs.source import Source, check_parameter, varied
-
-DISTRIBUTIONS = ("cdf", "box", "violin")
-KINDS = (*DISTRIBUTIONS, "curve", "heatmap", "time", "pairs")
-_AXES = {"curve": 1, "heatmap": 2}  # kinds with swept parameters as axes, and how many
 
 
 @dataclass(frozen=True)
@@ -52,23 +49,25 @@ def choose(source: Source, asked: Asked, fixes: bool, steps: bool) -> Choice:
     by = asked.by or "estimator"
     names = varied(source, [by, *asked.over])
     numbers = [name for name in names if name != by and is_number(source, name)]
-    free = [name for name in names if name not in (by, "cell", "estimator")]
+    own = {by, "cell", "estimator"} - set(asked.over)
+    free = [name for name in names if name not in own]
     reasons = _unfit(source, asked, free, fixes, steps)
     fit = [kind for kind in KINDS if kind not in reasons]
     kind = asked.kind or _default(asked, numbers, fit)
     if kind is None or kind in reasons:
         why = reasons[asked.kind] if asked.kind else f"no kind of figure fits {asked.metric}"
-        flag = f"--kind {asked.kind}" if asked.kind else f"--metric {asked.metric}"
+        flag = f"kind={asked.kind}" if asked.kind else f"metric={asked.metric}"
         raise UserError(f"{flag}: {why}" + (f"; these kinds fit: {', '.join(fit)}" if fit else ""))
+    if kind == "pairs" and by != "estimator":
+        raise UserError(f"by={by}: allowed for kind=pairs: estimator")
+    if kind != "pairs" and asked.baseline is not None:
+        raise UserError(f"baseline={asked.baseline}: allowed for kind=pairs alone")
     over = tuple(asked.over) or _over(source, kind, numbers, free)
-    if len(over) != _AXES.get(kind, 0):
-        need = _AXES.get(kind, 0)
-        raise UserError(
-            f"--over {','.join(over)}: a {kind} has {need or 'no'} swept "
-            f"parameter{'s' * (need != 1)} on its axes; allowed: {need}"
-        )
-    hidden = {*over, *(("estimator",) if kind == "pairs" else (by,))}
-    panels = tuple(name for name in names if name not in hidden)
+    if len(over) != AXES.get(kind, 0):
+        need = AXES.get(kind, 0)
+        allowed = ("no parameter", "one parameter", "two parameters")[need]
+        raise UserError(f"over={','.join(over)}: allowed for kind={kind}: {allowed}")
+    panels = tuple(name for name in names if name not in (*over, by))
     if kind == "heatmap" and by in names:
         panels = (by, *panels)
     metric = asked.metric or _metric(kind, fixes)
@@ -88,21 +87,21 @@ def _check(source: Source, asked: Asked) -> None:
     """Raise UserError for an unknown kind, metric, column or baseline."""
     if asked.kind is not None and asked.kind not in KINDS:
         hint = did_you_mean(asked.kind, KINDS) or f"; allowed: {', '.join(KINDS)}"
-        raise UserError(f"--kind {asked.kind}: no such kind{hint}")
+        raise UserError(f"kind={asked.kind}: no such kind{hint}")
     if asked.metric is not None:
         check_metric(asked.metric)
-    for flag, names in (("--by", [asked.by] if asked.by else []), ("--over", asked.over)):
+    for flag, names in (("by", [asked.by] if asked.by else []), ("over", asked.over)):
         for name in names:
             check_parameter(flag, name, source)
     for name in asked.over:
         values = source.frame[name].nunique(dropna=False)
         if values < 2 or name == (asked.by or "estimator") or list(asked.over).count(name) > 1:
             why = "has one value here" if values < 2 else "is used already"
-            raise UserError(f"--over {name}: {why}; allowed: another parameter that differs")
+            raise UserError(f"over={name}: {why}; allowed: another parameter that differs")
     known = list(source.frame["estimator"].unique())
     if asked.baseline is not None and asked.baseline not in known:
         hint = did_you_mean(asked.baseline, known) or f"; allowed: {listed(known)}"
-        raise UserError(f"--baseline {asked.baseline}: not among these results{hint}")
+        raise UserError(f"baseline={asked.baseline}: not among these results{hint}")
 
 
 def _unfit(
@@ -159,11 +158,10 @@ def _over(source: Source, kind: str, numbers: list[str], free: list[str]) -> tup
     """
     count = {name: source.frame[name].nunique() for name in free}
     order = sorted(free, key=lambda name: (name not in numbers, -count[name], free.index(name)))
-    axes = order[: _AXES.get(kind, 0)]
+    axes = order[: AXES.get(kind, 0)]
     return tuple(sorted(axes, key=lambda name: (name not in numbers, free.index(name))))
 
 
 def _metric(kind: str, fixes: bool) -> str:
     errors = kind == "time" or (kind in DISTRIBUTIONS and fixes)
     return ERRORS[0] if errors else "rmse_3d_m"
-

@@ -25,7 +25,7 @@ def time(courses: pd.DataFrame, words: Words) -> Figure:
     """
     made = look.sheet(courses, words)
     log = look.spans_decades(courses["median"].quantile([0.05, 0.95]).to_numpy())
-    for (panel, group), mine in courses.groupby(["panel", "group"], sort=False):
+    for panel, group, mine in look.groups_of(courses):
         style = made.style(group) | {"marker": None}
         for i, (_, track) in enumerate(mine.groupby("track", sort=False)):
             label = group if i == 0 else None
@@ -41,7 +41,7 @@ def time(courses: pd.DataFrame, words: Words) -> Figure:
                 )
     for axis in made.axes.values():
         axis.margins(x=0.01)
-        look.scale(axis, "y", log)
+        look.scale(axis, "y", log, courses[["median", "low", "high"]])
     if not log:
         next(iter(made.axes.values())).set_ylim(bottom=0)
     look.legend(made, words.by)
@@ -59,9 +59,11 @@ def pairs(points: pd.DataFrame, rows: pd.DataFrame, words: Words) -> Figure:
         axis = made.axes[row["panel"]]
         mine = points[points["panel"] == row["panel"]]
         many = len(mine) > _MOST_VECTORS
-        axis.scatter(mine["x"], mine["y"], s=6, alpha=0.5, linewidths=0, color="C0", rasterized=many)
-        look.scale(axis, "x", log)
-        look.scale(axis, "y", log)
+        axis.scatter(
+            mine["x"], mine["y"], s=8, alpha=0.5, linewidths=0, color="C0", rasterized=many
+        )
+        look.scale(axis, "x", log, ends)
+        look.scale(axis, "y", log, ends)
         axis.set(xlim=ends, ylim=ends, box_aspect=1)
         axis.plot(ends, ends, color=plots.GREY, linewidth=0.8, zorder=0)
         axis.annotate(words_of(row), (0.03, 0.97), xycoords="axes fraction", va="top", fontsize=6)
@@ -78,15 +80,17 @@ def _ends(points: pd.DataFrame, log: bool) -> tuple[float, float]:
     return low - margin, high + 3 * margin
 
 
-def words_of(row: Mapping[str, Any]) -> str:
+def words_of(row: Mapping[Any, Any]) -> str:
     """The lines of a panel: the change of the mean, and in how many pairs the value is smaller."""
     if not row["n"]:
         return f"no pairs: none of {row['of']} replications has both values"
     change = row["change"], row["change_low"], row["change_high"]
     unit = f" {row['unit']}".rstrip()
-    text = f"{change[0]:+.3g}{unit}"
+    text = "change unknown, too few pairs"
+    if row["equal"] == row["n"]:
+        return f"equal in all {row['n']}"
     if np.isfinite(change).all():
         value, low, high = rounded(*change, "+")
-        text = f"{value}{unit} [{low}, {high}]"
+        text = f"mean {value}{unit} [{low}, {high}]"
     equal = f", equal in {row['equal']}" if row["equal"] else ""
-    return f"mean {text}\nsmaller in {row['smaller']} of {row['n']}{equal}"
+    return f"{text}\nsmaller in {row['smaller']} of {row['n']}{equal}"

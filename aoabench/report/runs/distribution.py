@@ -25,16 +25,18 @@ def cdf(points: pd.DataFrame, quantiles: pd.DataFrame, words: Words) -> Figure:
     ends = look.limits(quantiles, log, whole=False)
     made = look.sheet(points, words)
     median = dict(zip(quantiles["group"], quantiles["q50"])) if len(made.axes) == 1 else {}
-    for (panel, group), mine in points.groupby(["panel", "group"], sort=False):
+    median = {name: f"median {m:.3g}" if m == m else "no value" for name, m in median.items()}
+    for panel, group, mine in look.groups_of(points):
         style = made.style(group) | {"marker": None}
-        name = f"{group}: median {median[group]:.3g}" if group in median else group
+        name = f"{group}: {median[group]}" if group in median else group
         axis = made.axes[panel]
-        axis.step(mine["x"], mine["share"], where="post", label=name, **style)
+        x, share = [*mine["x"], ends[1]], [*mine["share"], mine["share"].iloc[-1]]
+        axis.step(x, share, where="post", label=name, **style)
         axis.fill_between(
             mine["x"], mine["low"], mine["high"], color=style["color"], alpha=0.15, linewidth=0
         )
     for axis in made.axes.values():
-        look.scale(axis, "x", log)
+        look.scale(axis, "x", log, ends)
         axis.set(xlim=ends, ylim=(0, 1.005))
     look.legend(made, words.by)
     return made.figure
@@ -45,7 +47,7 @@ def box(quantiles: pd.DataFrame, words: Words) -> Figure:
     log = look.is_heavy(quantiles)
     ends = look.limits(quantiles, log, whole=True)
     made = _rows(quantiles, words)
-    for panel, mine in quantiles.groupby("panel", sort=False):
+    for panel, mine in look.panels_of(quantiles):
         axis, y = made.axes[panel], [float(made.groups.index(g)) for g in mine["group"]]
         rows = mine.assign(
             minimum=mine["minimum"].where(mine["minimum"] >= ends[0]),
@@ -64,8 +66,8 @@ def violin(samples: pd.DataFrame, quantiles: pd.DataFrame, words: Words) -> Figu
     log = look.is_heavy(quantiles)
     ends = look.limits(quantiles, log, whole=True)
     made = _rows(quantiles, words)
-    values = dict(list(samples.groupby(["panel", "group"], sort=False)["x"]))
-    for panel, mine in quantiles.groupby("panel", sort=False):
+    values = {(panel, group): mine["x"] for panel, group, mine in look.groups_of(samples)}
+    for panel, mine in look.panels_of(quantiles):
         axis, y = made.axes[panel], [float(made.groups.index(g)) for g in mine["group"]]
         for row, place in zip(mine.to_dict("records"), y):
             if not row["n"]:
@@ -73,7 +75,7 @@ def violin(samples: pd.DataFrame, quantiles: pd.DataFrame, words: Words) -> Figu
             at, density = density_of(values[panel, row["group"]].to_numpy(), ends, log)
             colour = made.style(row["group"])["color"]
             axis.fill_between(
-                at, place - density, place + density, color=colour, alpha=0.6, linewidth=0.6
+                at, place - density, place + density, color=colour, alpha=0.6, linewidth=1
             )
             axis.plot([row["q25"], row["q75"]], [place, place], color="black", linewidth=2.5)
             axis.plot(row["q50"], place, "o", color="white", markersize=3, markeredgecolor="black")
@@ -85,17 +87,16 @@ def density_of(
     x: np.ndarray, ends: tuple[float, float], log: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (K,) between the least and the largest value inside `ends`, and the half-width (K,) of
-    a violin there, at most 0.4: a Gaussian kernel's density (Scott's rule) of x (N,), or with
-    `log` of its logarithm.
+    a violin there, at most 0.4: a Gaussian kernel's density (Scott's rule) of these values of x
+    (N,), or with `log` of their logarithms.
     """
     from matplotlib.mlab import GaussianKDE
 
     inside = x[(x >= ends[0]) & (x <= ends[1])]
-    scaled = np.log10(x[x > 0]) if log else x
-    if len(inside) < 2 or np.ptp(inside) == 0 or np.ptp(scaled) == 0:
+    if len(inside) < 2 or np.ptp(inside) == 0:
         return np.repeat(inside[:1], 2), np.array([-0.4, 0.4])[: 2 * len(inside[:1])]
-    span = np.log10([inside.min(), inside.max()]) if log else [inside.min(), inside.max()]
-    at = np.linspace(*span, 200)
+    scaled = np.log10(inside) if log else inside
+    at = np.linspace(scaled.min(), scaled.max(), 200)
     density = GaussianKDE(scaled).evaluate(at)
     return 10**at if log else at, 0.4 * density / density.max()
 
@@ -103,7 +104,7 @@ def density_of(
 def _rows(quantiles: pd.DataFrame, words: Words) -> Sheet:
     """A figure whose panels have a row for each group, the first at the top."""
     count = quantiles["group"].nunique()
-    made = look.sheet(quantiles, words, height=0.4 + _ROW * count)
+    made = look.sheet(quantiles, words, height=0.4 + _ROW * count, groups=False)
     for axis in made.axes.values():
         axis.set_ylim(count - 0.4, -0.6)
         axis.grid(visible=False, axis="y")
@@ -119,7 +120,7 @@ def _finish(
     made: Sheet,
 ) -> None:
     """Set the axes of a panel; mark values beyond them, and rows without any value."""
-    look.scale(axis, "x", log)
+    look.scale(axis, "x", log, ends)
     axis.set_xlim(ends)
     axis.set_yticks(range(len(made.groups)), made.groups)
     for row, place in zip(rows.to_dict("records"), y):

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from aoabench.report.runs import courses, distribution, footer, look, swept, values
-from aoabench.report.runs.choice import DISTRIBUTIONS, Asked, Choice, choose
+from aoabench.report.runs.choice import Asked, Choice, choose
+from aoabench.report.runs.kinds import DISTRIBUTIONS
 from aoabench.report.runs.look import Words
 from aoabench.report.runs.metrics import ERRORS, label, mean_label
 from aoabench.report.runs.source import Source, read
@@ -100,6 +101,7 @@ def _distribution(source: Source, choice: Choice) -> Drawing:
     words = Words(name, "", _title(choice), lines)
     if choice.kind == "cdf":
         points = values.cdf_points(found)
+        lines[1] = footer.bands(points, lines[1])
         words = Words(name, f"share of {'fixes' if fixes else 'replications'}", words.by, lines)
         return Drawing(choice, table, lines, lambda: distribution.cdf(points, table, words))
     if choice.kind == "box":
@@ -127,9 +129,9 @@ def _time(source: Source, choice: Choice) -> Drawing:
     """Errors over the steps."""
     table = values.courses(source, choice)
     timed, apart = bool(table["timed"].all()), bool((table["track"] >= 0).any())
-    lines = [*footer.about(source), footer.TRACKS if apart else footer.MARKS["time"]]
+    lines = [*footer.about(source), footer.over_time(apart, int(table["steps"].max()))]
     words = Words("time [s]" if timed else "step", label(choice.metric), _title(choice), lines)
-    shown = table.drop(columns=["timed"] if apart else ["timed", "track"])
+    shown = table.drop(columns=["timed", "steps", *([] if apart else ["track"])])
     return Drawing(choice, shown, lines, lambda: courses.time(table, words))
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from aoabench.report.runs.look import HEAVY
 from aoabench.report.runs.source import Source, ordered, value_text
 from aoabench.store.clusters import CLUSTERED
-from aoabench.store.comparison import FAILURES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,13 +21,12 @@ MARKS = {
     "box": "Boxes: median, 25 to 75 %; whiskers: 5 to 95 %; asterisks: minimum and maximum.",
     "violin": "Violins: density; bars: 25 to 75 %; dots: median.",
     "curve": "Bars: 95 % intervals of each point alone, {units}.",
-    "time": "Lines: median over replications; bands: 5 to 95 % of them.",
-    "pairs": "A point is a replication; below the diagonal its value is smaller than that of {base}. "
-    "Brackets: 95 % interval of the change of the mean against {base}, {units}, as in "
+    "pairs": "A point is a replication; below the diagonal its value is smaller than that of "
+    "{base}. Brackets: 95 % interval of the change of the mean against {base}, {units}, as in "
     "`aoabench compare`.",
 }
-TRACKS = "A line is a track of the recording."
-_MOST_NAMED = 5
+_MOST_NAMED = 5  # estimators
+_MOST_VALUES = 3  # of a name
 
 
 def about(source: Source, fixes: pd.DataFrame | None = None) -> list[str]:
@@ -40,10 +38,12 @@ def about(source: Source, fixes: pd.DataFrame | None = None) -> list[str]:
     several = frame["cell"].nunique() > 1
     many = f" ({_span(fixes['of'])} fixes)" if fixes is not None else ""
     each = "each estimator and cell" if several else "each estimator"
-    parts = [f"N = {_span(counts)} replications{many} of {each}", source.recorded]
-    for name in ("scenario", "noise", "seed", "experiment"):
+    recorded = source.recorded == "recorded"
+    noun = ("track" if recorded else "replication") + ("" if counts.max() == 1 else "s")
+    parts = [f"N = {_span(counts)} {noun}{many} of {each}", source.recorded]
+    for name in ("experiment",) if recorded else ("scenario", "noise", "seed", "experiment"):
         values = [value_text(value) for value in ordered(frame[name])]
-        if len(values) <= 3 and values != ["null"] and not (name == "noise" and values == ["recorded"]):
+        if len(values) <= _MOST_VALUES and values != ["null"]:
             parts.append(f"{name} {', '.join(values)}")
     return ["; ".join(parts) + "."]
 
@@ -55,14 +55,18 @@ def _span(counts: pd.Series) -> str:
 
 def units(source: Source, metric: str) -> str:
     """What the intervals of a metric take as independent units."""
-    errors = metric in CLUSTERED or not (metric == FAILURES or metric in source.frame)
-    if source.summary is None or not errors:
+    own = metric in source.frame and metric not in CLUSTERED
+    if source.summary is None or own or metric.startswith("rmse_q50"):
         return "over replications"
     by = set(source.summary["se_by"])
-    shared = "clustered by the positions that replications share"
-    if len(by) > 1:
-        return f"over replications, or {shared}"
-    return shared if by == {"position"} else "over replications"
+    words = {"position": "clustered by position", "replication": "over replications"}
+    return " or ".join(words[name] for name in sorted(by, reverse=True))
+
+
+def bands(points: pd.DataFrame, text: str) -> str:
+    """What the bands are, or why there are none."""
+    none = "No bands: they need two replications, or positions that replications share."
+    return none if points["low"].isna().all() else text
 
 
 def axis(log: bool, below: int, above: int, cdf: bool) -> Iterator[str]:
@@ -80,6 +84,15 @@ def axis(log: bool, below: int, above: int, cdf: bool) -> Iterator[str]:
         yield f"{below:,} value{'s are' if below > 1 else ' is'} 0 and not shown."
 
 
+def over_time(apart: bool, spans: int) -> str:
+    """What lines and bands of errors over time are; `spans`: the number of steps of a point."""
+    several = f"the {spans} steps of each point" if spans > 1 else ""
+    if apart:
+        return f"A line is a track of the recording{', median over ' * bool(several)}{several}."
+    what = f"replications{' and ' * bool(several)}{several}"
+    return f"Lines: median over {what}; bands: 5 to 95 % of them."
+
+
 def bars(means: pd.DataFrame) -> Iterator[str]:
     """Why intervals are missing."""
     known = np.isfinite(means[["low", "high"]].to_numpy(dtype=float)).all(axis=1)
@@ -93,6 +106,6 @@ def without(table: pd.DataFrame, what: str) -> Iterator[str]:
     short = table[table["n"] < table["of"]]
     sums = short.groupby(["group"], sort=False)[["n", "of"]].sum()
     if len(sums):
-        named = [f"{name} {of - n:,} of {of:,}" for name, (n, of) in list(sums.iterrows())]
+        named = [f"{name} {of - n:,} of {of:,}" for name, n, of in sums.itertuples()]
         more = f" and {len(named) - _MOST_NAMED} more" * (len(named) > _MOST_NAMED)
         yield f"{what.capitalize()} without a value: {', '.join(named[:_MOST_NAMED])}{more}."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,8 @@ MOST_GROUPS = 40
 _STYLES = ("-", "--", "-.", ":")
 _MARKERS = "osD^vPX<>*"
 _FEW = 6  # groups whose legend lies above the panels; that of more lies beside them
+_COLUMN = 30  # entries of a legend in a column
+_MORE = 15  # letters after a group's name in a legend
 _LETTERS = 20  # of the footer in an inch
 HEAVY = 10.0  # largest 95 % quantile over smallest median, beyond which an axis is logarithmic
 
@@ -67,7 +69,7 @@ def check_size(panels: int, groups: int, names: Sequence[str], by: str) -> None:
         if count > most:
             raise UserError(
                 f"{count} {word} for the values of {which}: at most {most} are drawn; choose some "
-                "values with --where KEY=VALUE[,VALUE]"
+                "values with where KEY=VALUE[,VALUE]"
             )
 
 
@@ -75,21 +77,18 @@ def sheet(
     frame: pd.DataFrame, words: Words, height: float | None = None, groups: bool = True
 ) -> Sheet:
     """An empty figure with a panel for each title in the frame's `panel`, in the order of
-    appearance; `height` of a panel in inches.
+    appearance; `height` of a panel in inches; with `groups` there is room for their legend.
     """
     titles = list(dict.fromkeys(frame["panel"]))
-    names = list(dict.fromkeys(frame["group"])) if groups else []
+    names = list(dict.fromkeys(frame["group"])) if "group" in frame else []
     cols = 2 if len(titles) in (2, 4) else min(len(titles), 3)
     rows = math.ceil(len(titles) / cols)
-    beside = 1.7 * math.ceil(len(names) / 30) if len(names) > _FEW else 0.0
+    above, beside, least = _room(names) if groups else (0.0, 0.0, 0.0)
     width = (plots.PAGE if cols > 1 else 1.5 * plots.COLUMN) + beside
-    high = height or (2.9 if cols == 1 else 2.2)
-    footer = _footer(words, width)
-    above = 0.0 if beside or not names else 0.3 + 0.17 * math.ceil(len(names) / 2)
-    total = rows * (high + 0.25) + above + 0.12 * len(footer) + 0.3
-    figure, axes = plots.new(
-        width, total, rows, cols, squeeze=False, sharex=True, sharey=True
-    )
+    footer = [t for text in words.footer for t in textwrap.wrap(text, int(_LETTERS * width))]
+    inner = rows * ((height or (2.9 if cols == 1 else 2.2)) + 0.25)
+    total = max(inner + 0.12 * len(footer) + 0.3, least) + above
+    figure, axes = plots.new(width, total, rows, cols, squeeze=False, sharex=True, sharey=True)
     for axis in axes.ravel()[len(titles) :]:
         axis.set_visible(False)
     for i, (axis, title) in enumerate(zip(axes.ravel(), titles)):
@@ -102,8 +101,28 @@ def sheet(
     return Sheet(figure, dict(zip(titles, axes.ravel())), names)
 
 
-def _footer(words: Words, width: float) -> list[str]:
-    return [line for text in words.footer for line in textwrap.wrap(text, int(_LETTERS * width))]
+def _room(names: Sequence[str]) -> tuple[float, float, float]:
+    """Inches that a legend takes above the panels, or beside them, and the least height of a figure
+    for a legend beside them.
+    """
+    if len(names) <= _FEW:
+        return 0.3 + 0.17 * math.ceil(len(names) / 2), 0.0, 0.0
+    cols = math.ceil(len(names) / _COLUMN)
+    wide = 0.7 + 0.065 * (max(map(len, names)) + _MORE)
+    return 0.0, cols * wide, 0.3 + 0.165 * math.ceil(len(names) / cols)
+
+
+def panels_of(frame: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The title and the rows of each panel, in the order of appearance."""
+    for panel, mine in frame.groupby("panel", sort=False):
+        yield str(panel), mine
+
+
+def groups_of(frame: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """The title, the group and the rows of each group in each panel."""
+    for panel, rows in panels_of(frame):
+        for group, mine in rows.groupby("group", sort=False):
+            yield panel, str(group), mine
 
 
 def legend(made: Sheet, by: str) -> None:
@@ -116,22 +135,25 @@ def legend(made: Sheet, by: str) -> None:
     if not found:
         return
     many = len(made.groups) > _FEW
-    place = "outside right upper" if many else "outside upper left"
-    cols = math.ceil(len(found) / 30) if many else min(len(found), 2)
+    place: Any = "outside right upper" if many else "outside upper left"
+    cols = math.ceil(len(found) / _COLUMN) if many else min(len(found), 2)
     made.figure.legend(
-        found.values(), found.keys(), loc=place, ncols=cols, title=by, alignment="left"
+        list(found.values()), list(found), loc=place, ncols=cols, title=by or None, alignment="left"
     )
 
 
-def scale(axes: Any, which: str, log: bool) -> None:
-    """Make the x or y axis linear, or logarithmic with plain numbers: 0.5, 1, 2, 5, 10."""
+def scale(axes: Any, which: str, log: bool, values: Any) -> None:
+    """Make the x or y axis linear, or logarithmic with plain numbers: 0.5, 1, 2, 5, 10, or the
+    powers of ten alone where the positive `values` span more than two decades.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set(**{f"{which}scale": "log" if log else "linear"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     if log:
-        low, high = axis.get_data_interval()
-        short = low > 0 and high < 300 * low
+        x = np.asarray(values, dtype=float)
+        x = x[np.isfinite(x) & (x > 0)]
+        short = len(x) > 0 and x.max() < 100 * x.min()
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from aoabench.columns import SUMMARY
+from aoabench.columns import SUMMARY, unit_of
 from aoabench.errors import UserError, did_you_mean
 from aoabench.maths import intervals, statistics
 from aoabench.report.runs.source import Source
@@ -24,10 +24,9 @@ ERRORS = ("error_3d_m", "error_xy_m", "error_z_m")  # of every fix
 SUMMARIES = tuple(c for c in SUMMARY if f"{c}_low" in SUMMARY and c not in METRICS)
 NAMES = (*METRICS, *ERRORS, *SUMMARIES)
 _MEANS = {f"rmse_{axis}_m": f"rmse_mean_{axis}_m" for axis in ("3d", "xy", "z")}
-_UNITS = {"m": "m", "deg": "deg", "s": "s", "hz": "Hz", "dbm": "dBm", "db": "dB", "rad": "rad"}
 _AXES = {"3d": "3-D", "xy": "in the plane", "z": "in z"}
 _WORDS = {
-    FAILURES: "share of replications with a failed or diverged fix",
+    FAILURES: "share of failed or diverged replications",
     "availability": "share of fixes that are ok",
     "nees": "NEES",
     "iterations": "iterations",
@@ -38,14 +37,14 @@ def check_metric(metric: str) -> None:
     """Raise UserError for a metric that no kind of figure shows."""
     if metric not in NAMES:
         hint = did_you_mean(metric, NAMES) or f"; allowed: {', '.join(NAMES)}"
-        raise UserError(f"--metric {metric}: no such metric{hint}")
+        raise UserError(f"metric={metric}: no such metric{hint}")
 
 
 def label(name: str) -> str:
     """The name of a metric or parameter with its unit, for an axis."""
     if name in _WORDS:
         return _WORDS[name]
-    stem, _, unit = name.rpartition("_")
+    unit, stem = unit_of(name), name.rpartition("_")[0]
     first, _, axis = stem.rpartition("_")
     if name in ERRORS:
         return f"error {_AXES[axis]} [m]"
@@ -54,7 +53,7 @@ def label(name: str) -> str:
         return f"{word} RMSE {_AXES[axis]} [m]".lstrip()
     if name.startswith("cep"):
         return f"{name[:5].upper()}, error in the plane [m]"
-    return f"{stem} [{_UNITS[unit]}]" if unit in _UNITS and stem else name
+    return f"{stem} [{unit}]" if unit else name
 
 
 def mean_label(metric: str) -> str:
@@ -73,12 +72,12 @@ def estimates(source: Source, metric: str) -> pd.DataFrame:
     """
     import pandas as pd
 
-    stored: dict[tuple[str, str], Any] = {}
+    stored: dict[Any, Any] = {}
     if source.summary is not None:
         keys = zip(source.summary["cell"], source.summary["estimator"])
         stored = dict(zip(keys, source.summary.to_dict("records")))
     elif metric in SUMMARIES:
-        raise UserError(f"--metric {metric}: a frame does not hold it; allowed: a run's folder")
+        raise UserError(f"metric={metric}: a frame does not hold it; allowed: a run's folder")
     rows = []
     for (cell, name), mine in source.frame.groupby(["cell", "estimator"], sort=False):
         three = _three(source, metric, stored.get((cell, name)), mine)
@@ -105,7 +104,9 @@ def _three(
         return count / n, *intervals.rate_interval(count, n)
     shared = row is not None and row["se_by"] == "position"
     if metric in CLUSTERED and shared and source.out is not None:
-        found = means(rows, clusters(source.out, rows["cell"].iloc[0], rows["estimator"].iloc[0]))["iterations_mean"]
+        found = means(rows, clusters(source.out, rows["cell"].iloc[0], rows["estimator"].iloc[0]))[
+            "iterations_mean"
+        ]
     else:
         found = statistics.mean(values)
     low, high = found.interval()

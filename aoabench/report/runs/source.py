@@ -42,15 +42,16 @@ class Source:
         parameters.
         """
         known = {*REPLICATIONS, FAILURES, "seed"}
-        return [*_NAMES, *(c for c in self.frame if c not in known), "seed", "experiment"]
+        swept = [str(name) for name in self.frame.columns if name not in known]
+        return [*_NAMES, *swept, "seed", "experiment"]
 
     @property
     def recorded(self) -> str:
         """Whether the measurements are "recorded" or "synthetic", or a run holds both."""
-        flags = sorted(set(self.frame["noise"] == "recorded"))
-        return {(True,): "recorded", (False,): "synthetic"}.get(
-            tuple(flags), "synthetic and recorded"
-        )
+        recorded = self.frame["noise"] == "recorded"
+        if recorded.any() and not recorded.all():
+            return "synthetic and recorded"
+        return "recorded" if recorded.any() else "synthetic"
 
     @property
     def late(self) -> set[str]:
@@ -73,7 +74,7 @@ class Source:
             key, values = _condition(condition, self)
             frame = frame[frame[key].map(value_text).isin(values)]
         if frame.empty:
-            raise UserError(f"--where {' --where '.join(where)}: no results have all of these")
+            raise UserError(f"where {' and '.join(where)}: no results have all of these")
         keep = set(zip(frame["cell"], frame["estimator"]))
         summary = self.summary
         if summary is not None:
@@ -111,15 +112,15 @@ def _condition(text: str, source: Source) -> tuple[str, set[str]]:
     """The key and the values of a condition as text."""
     key, equals, given = text.partition("=")
     if not equals or not given:
-        raise UserError(f"--where {text}: not a condition; allowed: KEY=VALUE[,VALUE]")
-    check_parameter("--where", key, source, more=("cell",))
+        raise UserError(f"where {text}: not a condition; allowed: KEY=VALUE[,VALUE]")
+    check_parameter("where", key, source, more=("cell",))
     known = {value_text(value) for value in source.frame[key].unique()}
     values = {given} if given in known else set(given.split(","))  # a name may have commas
     values = {value_text(value) if value in known else _as_number(value) for value in values}
     for value in sorted(values - known):
         shown = [value_text(v) for v in ordered(source.frame[key])]
         hint = did_you_mean(value, shown) or f"; allowed: {listed(shown)}"
-        raise UserError(f"--where {key}={value}: no results have it{hint}")
+        raise UserError(f"where {key}={value}: no results have it{hint}")
     return key, values
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_TICKS = 12
+_ROOM = 35  # letters of all texts below an axis that stand beside each other
 
 
 def curve(means: pd.DataFrame, over: str, words: Words) -> Figure:
@@ -29,40 +30,43 @@ def curve(means: pd.DataFrame, over: str, words: Words) -> Figure:
     at = places if numeric else places.map({value_text(v): i for i, v in enumerate(names)})
     log_x = numeric and look.is_even_in_log(at.to_numpy(dtype=float))
     log_y = look.spans_decades(means["value"].to_numpy(dtype=float))
-    step = _step(np.unique(at.dropna().to_numpy(dtype=float)), log_x)
+    step = _step(np.unique(at.dropna().to_numpy(dtype=float)), log_x, len(made.groups))
     frame = means.assign(at=at.astype(float))
-    for (panel, group), mine in frame.groupby(["panel", "group"], sort=False):
+    seen = set(means["group"][means["value"].notna()])
+    for panel, group, mine in look.groups_of(frame):
         offset = step * (made.groups.index(group) - (len(made.groups) - 1) / 2)
         x = mine["at"] * np.exp(offset) if log_x else mine["at"] + offset
         style = made.style(group) | ({} if numeric else {"linestyle": "none"})
+        name = group if group in seen else f"{group} (no value)"
         order = np.argsort(x.to_numpy())
         axis = made.axes[panel]
-        axis.plot(x.to_numpy()[order], mine["value"].to_numpy()[order], label=group, **style)
+        axis.plot(x.to_numpy()[order], mine["value"].to_numpy()[order], label=name, **style)
         _intervals(axis, x.to_numpy(), mine, style["color"])
     for axis in made.axes.values():
-        look.scale(axis, "x", log_x)
-        look.scale(axis, "y", log_y)
+        look.scale(axis, "x", log_x, at)
+        look.scale(axis, "y", log_y, means[["value", "low", "high"]])
         if not numeric:
-            axis.set_xticks(range(len(names)), [value_text(v) for v in names])
+            texts = [value_text(v) for v in names]
+            turned = {"rotation": 30, "ha": "right"} if sum(map(len, texts)) > _ROOM else {}
+            axis.set_xticks(range(len(names)), texts, **turned)
             axis.set_xlim(-0.5, len(names) - 0.5)
         elif len(names) <= _MOST_TICKS:
             axis.set_xticks([v for v in names if v == v])
             axis.set_xticklabels([value_text(v) for v in names if v == v])
             axis.xaxis.minorticks_off()
-    if not log_y and (means["value"] >= 0).all():
+    if not log_y and means["value"].min() >= 0:
         top = float(np.nanmax(means[["value", "high"]].replace(np.inf, np.nan).to_numpy()))
         next(iter(made.axes.values())).set_ylim(0, 1.05 * top or 1.0)
     look.legend(made, words.by)
     return made.figure
 
 
-def _step(at: np.ndarray, log: bool) -> float:
+def _step(at: np.ndarray, log: bool, groups: int) -> float:
     """The distance by which neighbouring groups are moved apart, so that their bars do not lie on
-    each other: 2 % of the smallest distance of two values.
+    each other: at most 2 % of the smallest distance of two values, and 10 % for all groups.
     """
-    if len(at) < 2:
-        return 0.02
-    return 0.02 * float(np.diff(np.log(at) if log else at).min())
+    least = float(np.diff(np.log(at) if log else at).min(initial=np.inf))
+    return min(0.02, 0.1 / groups) * (least if np.isfinite(least) else 1.0)
 
 
 def _intervals(axis: Any, x: np.ndarray, rows: pd.DataFrame, colour: str) -> None:
@@ -84,14 +88,14 @@ def heatmap(means: pd.DataFrame, over: tuple[str, str], words: Words) -> Figure:
 
     values = [ordered(means[name]) for name in over]
     rank = [{value_text(v): i for i, v in enumerate(column)} for column in values]
-    height = max(1.2, 0.28 * len(values[1]) + 0.5)
+    height = max(1.6, 0.28 * len(values[1]) + 0.5)
     made = look.sheet(means, words, height=height, groups=False)
     known = means["value"].to_numpy(dtype=float)
     known = known[np.isfinite(known)]
     log = look.spans_decades(known)
     norm = (LogNorm if log else Normalize)(known.min(), known.max())
-    drawn = None
-    for panel, mine in means.groupby("panel", sort=False):
+    drawn: Any = None
+    for panel, mine in look.panels_of(means):
         grid = np.full((len(values[1]), len(values[0])), np.nan)
         ran = np.zeros(grid.shape, dtype=bool)
         for row in mine.to_dict("records"):
@@ -119,4 +123,3 @@ def _numbers(axis: Any, grid: np.ndarray, ran: np.ndarray, norm: Any) -> None:
         colour = "white" if known and norm(value) < 0.55 else "black"
         text = f"{value:.3g}" if known else "\u2013"
         axis.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
-

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _BAND = 100  # points of a distribution at which its band is computed
+_MOST_TIMES = 400
 LEVELS = {"q05": 0.05, "q25": 0.25, "q50": 0.5, "q75": 0.75, "q95": 0.95}
 
 
@@ -40,10 +41,10 @@ class Shown:
 
 
 def shown(source: Source, choice: Choice) -> list[Shown]:
-    """Each chosen estimator and cell in the order of panels and colours."""
+    """Each chosen estimator and cell in the order of panels, colours and axes."""
     pairs = source.pairs()
     orders = {}
-    for name in dict.fromkeys((*choice.panels, choice.by)):
+    for name in dict.fromkeys((*choice.panels, choice.by, *choice.over)):
         values = pairs[name].unique().tolist() if name == "estimator" else ordered(pairs[name])
         orders[name] = {value_text(value): i for i, value in enumerate(values)}
     found = []
@@ -55,7 +56,7 @@ def shown(source: Source, choice: Choice) -> list[Shown]:
             for n in choice.panels
             if texts[n] != "null"
         )
-        place = tuple(orders[n][texts[n]] for n in (*choice.panels, choice.by))
+        place = tuple(orders[n][texts[n]] for n in (*choice.panels, choice.by, *choice.over))
         found.append((place, Shown(row["cell"], row["estimator"], panel, names[choice.by])))
     return [one for _, one in sorted(found, key=lambda pair: pair[0])]
 
@@ -76,7 +77,7 @@ def distributions(source: Source, choice: Choice) -> list[tuple[Shown, FixErrors
     Raises UserError if nothing has a value.
     """
     found = []
-    rows = {key: mine for key, mine in source.frame.groupby(["cell", "estimator"], sort=False)}
+    rows = dict(list(source.frame.groupby(["cell", "estimator"], sort=False)))
     for one in shown(source, choice):
         if choice.metric in ERRORS:
             assert source.out is not None
@@ -96,11 +97,11 @@ def no_values(source: Source, metric: str) -> UserError:
     """The error for results in which a metric has no value at all."""
     if "recorded" in source.recorded and metric.startswith(("rmse", "error", "nees", "cep", "p_w")):
         return UserError(
-            f"--metric {metric}: a recording without ground truth has no errors; give the truth "
+            f"metric={metric}: a recording without ground truth has no errors; give the truth "
             "with scenario.truth, or use another metric, such as n_ok"
         )
     return UserError(
-        f"--metric {metric}: no replication has a value; use another metric, such as n_failed, "
+        f"metric={metric}: no replication has a value; use another metric, such as n_failed, "
         "or other estimators"
     )
 
@@ -164,23 +165,23 @@ def outside(found: Found, ends: tuple[float, float]) -> tuple[int, int]:
 
 def means(source: Source, choice: Choice) -> pd.DataFrame:
     """The estimates of the metric (see `metrics.estimates`) with the parameters `choice.over`."""
+    import pandas as pd
+
     found = estimates(source, choice.metric).set_index(["cell", "estimator"])
     if not np.isfinite(found["value"]).any():
         raise no_values(source, choice.metric)
-    over = source.pairs().set_index(["cell", "estimator"])[list(choice.over)]
-    rows = [
-        {**_of(one), **over.loc[key], **found.loc[key]}
-        for one in shown(source, choice)
-        for key in [(one.cell, one.estimator)]
-    ]
-    return _frame(rows)
+    over = source.pairs().set_index(["cell", "estimator"], drop=False)[list(choice.over)]
+    each = shown(source, choice)
+    keys = pd.MultiIndex.from_tuples([(one.cell, one.estimator) for one in each])
+    places = pd.DataFrame([_of(one) for one in each], index=keys)
+    return pd.concat([places, over.loc[keys], found.loc[keys]], axis=1).reset_index(drop=True)
 
 
 def courses(source: Source, choice: Choice) -> pd.DataFrame:
-    """Errors over the steps: x (s since the first step of the cell where the time is known, else
-    the step), median and the quantiles low (5 %) and high (95 %) over the n replications with a
-    position. The tracks of a recording, which have times of their own, stay apart: `track` has
-    their number, -1 elsewhere.
+    """Errors over the steps: x (the time in s where it is known, in a recording since its first
+    fix; else the step), median and the quantiles low (5 %) and high (95 %) over the n replications
+    with a position. The tracks of a recording, which have times of their own, stay apart: `track`
+    has their number, -1 elsewhere. Of more than 400 steps, each point covers several (`steps`).
     """
     import pandas as pd
 
@@ -190,24 +191,32 @@ def courses(source: Source, choice: Choice) -> pd.DataFrame:
     for one in shown(source, choice):
         entry = source.entries[one.cell][one.estimator]
         frame = errors_over_time(source.out, entry, choice.metric.split("_")[1])
-        frame["time_s"] -= frame["time_s"].min()
-        frame["x"] = frame["time_s"].fillna(frame["step"]) if timed(frame) else frame["step"]
+        timed = bool(frame["time_s"].notna().all())
+        start = frame["time_s"].min() if one.cell in recorded else 0.0
+        at = frame["time_s"] - start if timed else frame["step"].astype(float)
         apart = one.cell in recorded and frame["replication"].nunique() > 1
         frame["track"] = frame["replication"] if apart else -1
+        frame["x"], steps = _spans(at.to_numpy())
         each = frame.groupby(["track", "x"])["error"]
-        found = each.quantile([0.5, 0.05, 0.95]).unstack()
+        found = each.quantile(np.array([0.5, 0.05, 0.95])).unstack()
         found.columns = pd.Index(["median", "low", "high"])
         found["n"] = each.count()
-        frames.append(found.reset_index().assign(**_of(one), timed=timed(frame)))
+        frames.append(found.reset_index().assign(**_of(one), timed=timed, steps=steps))
     whole = pd.concat(frames, ignore_index=True)
     if not whole["median"].notna().any():
         raise no_values(source, choice.metric)
     return whole
 
 
-def timed(frame: pd.DataFrame) -> bool:
-    """Whether all steps have a time."""
-    return bool(frame["time_s"].notna().all())
+def _spans(at: np.ndarray) -> tuple[np.ndarray, int]:
+    """The times (N,) themselves, or the mean of each span of several neighbouring distinct ones if
+    there are more than _MOST_TIMES; and the number of times in a span.
+    """
+    times, which = np.unique(at, return_inverse=True)
+    steps = -(-len(times) // _MOST_TIMES)
+    starts = np.arange(0, len(times), steps)
+    sizes = np.diff(np.append(starts, len(times)))
+    return (np.add.reduceat(times, starts) / sizes)[which // steps], steps
 
 
 def paired(source: Source, choice: Choice) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -233,7 +242,11 @@ def paired(source: Source, choice: Choice) -> tuple[pd.DataFrame, pd.DataFrame]:
         points.append(pd.DataFrame({"panel": panel, "replication": both.index, "x": x, "y": y}))
         counts = {"n": len(x), "of": len(wide), "smaller": int((y < x).sum())}
         counts["equal"] = int((y == x).sum())
-        rows.append({"panel": panel, "estimator": one.estimator, "baseline": base, **counts, **pair})
+        rows.append(
+            {"panel": panel, "estimator": one.estimator, "baseline": base, **counts, **pair}
+        )
+    if not points:
+        raise UserError(f"baseline={base}: no other estimator of these results has cells with it")
     if not any(map(len, points)):
         raise no_values(source, choice.metric)
     return pd.concat(points, ignore_index=True), pd.DataFrame(rows)
@@ -267,9 +280,3 @@ def _changes(source: Source, base: str, metric: str) -> dict[tuple[str, str], di
 
 def _of(one: Shown) -> dict[str, str]:
     return {n: v for n, v in asdict(one).items() if n in ("panel", "group")}
-
-
-def _frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
-    import pandas as pd
-
-    return pd.DataFrame(rows)

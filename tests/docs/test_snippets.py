@@ -1,0 +1,61 @@
+"""Every command and every piece of Python in README.md and docs/ runs, page by page and in order.
+
+A block under the comment `<!-- not run: WHY -->` is only parsed: its commands and options exist, and
+the overrides of `aoabench run` compose.
+"""
+
+import sys
+from types import ModuleType
+
+import pytest
+
+from tests.docs import snippets
+
+RUN = [page for page in snippets.PAGES if any(not b.not_run for b in snippets.blocks(page))]
+
+
+def names(pages):
+    return [page.relative_to(snippets.ROOT).as_posix() for page in pages]
+
+
+def check(command, call):
+    snippets.check(command)
+    words = snippets.simple(command)
+    if words and words[0] in snippets.AOABENCH and words[1] == "run":
+        status, _, error = call(*snippets.arguments(words[1:]))
+        assert status == 0, error
+
+
+@pytest.mark.parametrize("page", RUN, ids=names(RUN))
+def test_a_page_runs_from_top_to_bottom(page, call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("joblib.cpu_count", lambda: 1)  # no processes to start
+    module = ModuleType("snippets_of_the_page")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    for block in snippets.blocks(page):
+        where = f"{page.name}:{block.line}"
+        assert block.kind in snippets.KINDS, f"{where}: a block of the kind {block.kind!r}"
+        if block.kind in snippets.SHELL:
+            for command in block.commands:
+                if block.not_run:
+                    check(command, call)
+                else:
+                    run(command, call, tmp_path, where)
+        elif block.kind == "python" and not block.not_run:
+            file = tmp_path / f"line_{block.line}.py"
+            file.write_text(block.text, encoding="utf-8")
+            exec(compile(block.text, str(file), "exec"), vars(module))
+            file.unlink()
+        else:
+            snippets.check_text(block)
+
+
+def run(command, call, folder, where):
+    words = snippets.simple(command)
+    if words and words[0] in snippets.AOABENCH:
+        status, out, error = call(*words[1:])
+        assert status == 0, f"{where}: {command}\n{out}{error}"
+    elif words and words[0] == "make":
+        pytest.fail(f"{where}: `{command}` needs the comment `not run`")
+    else:
+        snippets.shell(command, folder)
