@@ -70,14 +70,10 @@ def resumed(
     count = tracks.counts[list(some)]
     step = np.minimum(np.arange(count.max()), count[:, None] - 1)  # the last one fills up
     place, real = tracks.starts[list(some)][:, None] + step, np.arange(count.max()) < count[:, None]
-    F = len(tracks.fix)
     measured = {
         name: np.where(real[..., None], array[0][place], np.nan)
         for name, array in batch.arrays.items()
-        if array is not None
-        and name != "anchor_id"
-        and array.shape[1:2] == (F,)
-        and array.ndim == 3
+        if array is not None and array.ndim == 3 and name != "anchor_id"
     }
     n = reached.mean.shape[1]
     tile = Batch(
@@ -85,7 +81,7 @@ def resumed(
         prior_mean=reached.mean,
         prior_cov=np.zeros((n, n)),
         time=tracks.time[place] - reached.time[:, None],
-        **measured,
+        **measured,  # type: ignore[arg-type]
     )
     assert scenario.motion is not None
     moving = scenario.with_tracks(tracks, 0.0, _Resumed(scenario.motion, reached.covariance))

@@ -59,7 +59,9 @@ class Inputs:
         """
         given = (estimates.outcome != Outcome.FAILED) & (estimates.outcome != Outcome.REJECTED)
         found, P = np.zeros(given.shape, dtype=bool), estimates.covariance
-        for some in blocks(given.shape) if P is not None else ():
+        if P is None:
+            return found
+        for some in blocks(given.shape):
             offset = estimates.position[some] - self.centre[some]
             found[some] = _imprecise(given[some], P[some], offset, self.extent[some])
         return found
