@@ -59,13 +59,15 @@ def particle(repeats: int) -> Iterator[Row]:
     names = [f"pf_{m}" for m in MODELS]
     cells = [cell_of(f"noise={noise}", filters=names) for noise in ("ae_flip", "vmf")]
     cell = cells[1]
-    actions: dict[str, Callable[[], Any]] = {**both_engines(cell, names, tiles=8)}
+    laps = both_engines(cell, names, tiles=8)
+    actions: dict[str, Callable[[], Any]] = {**laps}
     actions |= {f"eight {engine}": _eight(cells, engine) for engine in ("auto", "numpy")}
     _, batch = Draws(cell.scenario, cell.noise, cell.seed).tile(0, 1)
     libraries = peers.available(cell.scenario, batch, math.radians(10), PARTICLES)
-    actions |= {name: laps["PF"] for name, laps in libraries.items()}
-    each = 1e9 / (batch.azimuth.shape[1] * PARTICLES)
-    ns = {name: each * seconds for name, seconds in in_turn(actions, repeats).items()}
+    actions |= {name: made["PF"] for name, made in libraries.items()}
+    found, T = in_turn(actions, repeats), batch.azimuth.shape[1]
+    steps = dict.fromkeys(found, T) | {name: lap.steps for name, lap in laps.items()}
+    ns = {name: 1e9 * seconds / (steps[name] * PARTICLES) for name, seconds in found.items()}
     how = (
         f"median of {repeats}, in turn; 10 000 particles, 64 steps, "
         "4 anchors, random numbers and resampling included"

@@ -9,6 +9,7 @@ import numpy as np
 
 from aoabench.estimators.places import anchors_used
 from aoabench.maths.geometry import Array
+from aoabench.maths.linalg import blocks
 from aoabench.types import Batch, Estimates, Outcome
 
 
@@ -57,21 +58,30 @@ class Inputs:
         in its covariance is not.
         """
         given = (estimates.outcome != Outcome.FAILED) & (estimates.outcome != Outcome.REJECTED)
-        P = estimates.covariance
+        found, P = np.zeros(given.shape, dtype=bool), estimates.covariance
         if P is None:
-            return np.zeros(given.shape, dtype=bool)
-        offset = estimates.position - self.centre
-        x, y, z = offset[..., 0], offset[..., 1], offset[..., 2]
-        flat = np.isnan(z) | np.isnan(P[..., 2, 2])
-        z = np.where(np.isnan(z), 0.0, z)
-        limit = np.maximum(self.extent**2, x**2 + y**2 + z**2)
-        with np.errstate(over="ignore", invalid="ignore"):
-            suspect = given & ~(_square(P, flat) <= limit**2)
-        if suspect.any():
-            some = flat[suspect]
-            cut = np.where(some[:, None, None] & _OF_Z, 0.0, P[suspect])
-            suspect[suspect] = _larger(cut, limit[suspect])
-        return np.asarray(suspect)
+            return found
+        for some in blocks(given.shape):
+            offset = estimates.position[some] - self.centre[some]
+            found[some] = _imprecise(given[some], P[some], offset, self.extent[some])
+        return found
+
+
+def _imprecise(given: np.ndarray, P: Array, offset: Array, extent: Array) -> np.ndarray:
+    """`Inputs.imprecise` for the `given` (R, T) of fixes with covariances P (R, T, 3, 3), at an
+    `offset` (R, T, 3) from the centre of anchors with an `extent` (R, T|1).
+    """
+    x, y, z = offset[..., 0], offset[..., 1], offset[..., 2]
+    flat = np.isnan(z) | np.isnan(P[..., 2, 2])
+    z = np.where(np.isnan(z), 0.0, z)
+    limit = np.maximum(extent**2, x**2 + y**2 + z**2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        suspect = given & ~(_square(P, flat) <= limit**2)
+    if suspect.any():
+        some = flat[suspect]
+        cut = np.where(some[:, None, None] & _OF_Z, 0.0, P[suspect])
+        suspect[suspect] = _larger(cut, limit[suspect])
+    return np.asarray(suspect)
 
 
 def _unmeasured(batch: Batch) -> np.ndarray:

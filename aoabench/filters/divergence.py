@@ -16,6 +16,7 @@ from scipy import special
 
 from aoabench.filters.belief import Belief
 from aoabench.maths.geometry import Array
+from aoabench.maths.linalg import blocks
 from aoabench.params import CheckedParams, param
 from aoabench.types import Anchors, Estimates, Outcome, Reason
 
@@ -179,6 +180,13 @@ def degenerate(covariance: Array, singular: float = 0.0) -> np.ndarray:
     axis keeps more than the share `singular` of its variance when those before it are known. The
     rule does not depend on the unit of length.
     """
+    bad = np.empty(covariance.shape[:-2], dtype=bool)
+    for some in blocks(bad.shape):
+        bad[some] = _degenerate(covariance[some], singular)
+    return bad
+
+
+def _degenerate(covariance: Array, singular: float) -> np.ndarray:
     below = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
     a, b, c, d, e, f = (np.ascontiguousarray(covariance[..., i, j]) for i, j in below)
     with np.errstate(all="ignore"):
@@ -186,8 +194,7 @@ def degenerate(covariance: Array, singular: float = 0.0) -> np.ndarray:
         second = b - p * d
         coupled = f - q * d
         third = c - q * e - coupled * coupled / second
-        bad = (a <= 0) | (second <= singular * b) | (third <= singular * c)
-    return np.asarray(bad)
+        return np.asarray((a <= 0) | (second <= singular * b) | (third <= singular * c))
 
 
 def _length(vector: Array) -> Array:

@@ -21,6 +21,7 @@ from aoabench.kernels.directions import (
     TILE,
     at_elevation,
     components,
+    copy,
     deviation,
     direction,
     fetch,
@@ -29,6 +30,7 @@ from aoabench.kernels.directions import (
     inform,
     innovation,
     precise,
+    put,
     seen_from,
     tally,
     weigh,
@@ -97,10 +99,10 @@ def remaining(M, b, w):
         for r in range(TILE):
             w[N, r] -= M[i, i, r] * b[i, r] * b[i, r]
     for i in range(3):
-        w[G + i] = b[3 + i]
+        copy(b[3 + i], w[G + i])
         for j in range(i + 1):
-            w[A + i * (i + 1) // 2 + j] = M[3 + i, 3 + j]
-            w[L + i * (i + 1) // 2 + j] = 1.0 if i == j else 0.0
+            copy(M[3 + i, 3 + j], w[A + i * (i + 1) // 2 + j])
+            put(1.0 if i == j else 0.0, w[L + i * (i + 1) // 2 + j])
 
 
 @inlined_ordered
@@ -130,7 +132,7 @@ def begin(start, x0, root0, x, root):
         for r in range(TILE):
             x[i, r] = x0[min(start + r, len(x0) - 1), i]
         for j in range(len(x)):
-            root[i, j] = root0[i, j]
+            put(root0[i, j], root[i, j])
 
 
 @inlined_ordered
@@ -159,7 +161,7 @@ def keep(root, w):
     """Row L of w: the factor of the position's covariance."""
     for i in range(3):
         for j in range(i + 1):
-            w[L + i * (i + 1) // 2 + j] = root[i, j]
+            copy(root[i, j], w[L + i * (i + 1) // 2 + j])
 
 
 @inlined_ordered
@@ -211,9 +213,10 @@ def ekf(
             now, weight = seen[k % AHEAD], precision[k % known]
             advance(TILE, start, k, x, root, F, Q, moves, P, FR, Fx)
             reach(TILE, P, least)
-            w[A : G + 3] = 0.0
-            w[N] = 0.0
-            count[:] = 0
+            for i in range(A, G + 3):
+                put(0.0, w[i])
+            put(0.0, w[N])
+            put(0, count)
             for j in range(B):
                 components(kind, now[j], weight[j], y)
                 if not tally(d, y, count):
@@ -226,7 +229,7 @@ def ekf(
                         for r in range(TILE):
                             var[r] = 1.0 / var[r]
                     else:
-                        var[:] = weight[j, min(l, 1)]
+                        copy(weight[j, min(l, 1)], var)
                     innovation(kind, l, y[l], c[l], var, v[l], W[l])
                 hide(local, least, W)
                 for l in range(d):
@@ -278,12 +281,12 @@ def ukf(
             arrive(kind, observed, (position, rotation), start, k, seen, precision, s, rot)
             now, weight = seen[k % AHEAD], precision[k % known]
             advance(TILE, start, k, x, root, F, Q, moves, P, FR, Fx)
-            b[:] = 0.0
-            M[:] = 0.0
-            w[N] = 0.0
-            count[:] = 0
-            for i in range(3):
-                M[i, i] = 1.0
+            for i in range(6):
+                put(0.0, b[i])
+                for l in range(6):
+                    put(1.0 if i == l and i < 3 else 0.0, M[i, l])
+            put(0.0, w[N])
+            put(0, count)
             for j in range(B):
                 components(kind, now[j], weight[j], y)
                 if not tally(d, y, count):
@@ -295,7 +298,7 @@ def ukf(
                     for i in range(6):
                         deviation(kind, l, image[1 + i, l], image[0, l], z[l, i])
                     if kind != AZEL_ADAPTIVE:
-                        var[:] = weight[j, min(l, 1)]
+                        copy(weight[j, min(l, 1)], var)
                     else:
                         at_elevation(image[0, 1], table, l, var)
                         if form == AVERAGED:

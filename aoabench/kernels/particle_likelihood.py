@@ -223,5 +223,6 @@ def loglik(kind, x, y, z, terms, table, out):
     for o in range(0, len(x), TILE):
         s = slice(o, o + TILE)
         loglik_tile(kind, x[s], y[s], z[s], terms, table, ZERO, tile, scratch)
+        part = out[s]
         for i in range(TILE):
-            out[o + i] = tile[i]
+            part[i] = tile[i]

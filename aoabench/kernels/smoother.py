@@ -91,11 +91,28 @@ def backward_solve(L, B):
             B[i, j] = c / L[i, i]
 
 
+# numba compiles a loop in a tenth of the time that it takes for an assignment of arrays
+
+
+@inlined_ordered
+def copy(source, out):
+    """Copy source (n,) into out (n,)."""
+    for i in range(len(out)):
+        out[i] = source[i]
+
+
+@inlined_ordered
+def copy_matrix(source, out):
+    """Copy source (n, n) into out (n, n)."""
+    for i in range(len(out)):
+        copy(source[i], out[i])
+
+
 @inlined_ordered
 def predict(F, Q, P, M, S):
     """S = F P F^T + Q with an increased diagonal, all (n, n), so that it is positive definite."""
     n = len(F)
-    S[:] = Q
+    copy_matrix(Q, S)
     add_square(F, P, M, S)
     for i in range(n):
         S[i, i] *= 1.0 + 2.0 * n * n * EPS
@@ -138,7 +155,7 @@ def backward(which, F, Q, x, P):
             U[:] = 0.0
             add_square(D, P[r, k], M, U)
             add_square(G, S, M, U)
-            P[r, k] = U
+            copy_matrix(U, P[r, k])
 
 
 @kernel(
@@ -160,8 +177,8 @@ def forward(which, mean, prior, F, Q, A, g, at, x, P):
     M, S, L, H = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     C, m, u, v = np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n)
     for r in which:
-        m[:] = mean[r]
-        C[:] = prior[min(r, len(prior) - 1)]
+        copy(mean[r], m)
+        copy_matrix(prior[min(r, len(prior) - 1)], C)
         for k in range(steps):
             f = F[min(r, len(F) - 1), min(k, F.shape[1] - 1)]
             q = Q[min(r, len(Q) - 1), min(k, Q.shape[1] - 1)]
@@ -169,7 +186,7 @@ def forward(which, mean, prior, F, Q, A, g, at, x, P):
                 v[a] = 0.0
                 for b in range(n):
                     v[a] += f[a, b] * m[b]
-            m[:] = v
+            copy(v, m)
             predict(f, q, C, M, S)
             factor(S, L)
             for a in range(n):  # I + L^T A L, and L^T
@@ -191,8 +208,8 @@ def forward(which, mean, prior, F, Q, A, g, at, x, P):
             for a in range(n):
                 for b in range(n):
                     m[a] += C[a, b] * u[b]
-            x[r, k] = m
-            P[r, k] = C
+            copy(m, x[r, k])
+            copy_matrix(C, P[r, k])
 
 
 @inlined_ordered
