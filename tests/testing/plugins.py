@@ -68,7 +68,7 @@ def in_first_order(self, found, batch, scenario, streams):
 
 
 def of_neighbour(self, found, batch, scenario, streams):
-    return moved(found, 0.01 * np.nanmean(found.position))
+    return moved(found, 1e-3 * np.nansum(found.position))
 
 
 def smoothed(self, found, batch, scenario, streams):
