@@ -113,7 +113,7 @@ def presets() -> str:
         for name, text in options(group).items():
             shown.append(f"### {name}\n\n{text}.\n")
             rows = [
-                (f"`{one.key}`", f"`{json.dumps(one.value)}`", one.unit, one.allowed, one.help)
+                (f"`{one.key}`", _value(one.value), one.unit, one.allowed, one.help)
                 for one in catalogue.parameters(name)
             ]
             shown.append(_table(("key", "value", "unit", "allowed", "meaning"), rows))
@@ -146,7 +146,7 @@ def errata() -> str:
     for name in study.names():
         one = study.load(name)
         if one.errata:
-            head = ("", "where", "printed", "correct", "effect")
+            head = ("id", "where", "printed", "correct", "effect")
             rows = [
                 (e["id"], e["where"], e["printed"], e["correct"], e["effect_text"])
                 for e in sections.errata(one, _values(one))
@@ -168,6 +168,12 @@ PARTS: dict[str, Callable[[], str]] = {
     "python": python,
     "errata": errata,
 }
+
+
+def _value(value: object) -> str:
+    """A value of a preset as code, cut where it is long."""
+    text = json.dumps(value)
+    return f"`{text}`" if len(text) <= 60 else f"`{text[:56]} ...`"
 
 
 def _statistic(column: str) -> str:
