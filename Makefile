@@ -77,7 +77,7 @@ lint: $(READY)
 
 docs: $(VENV)/.docs
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f .ci/mkdocs.yml
-	@echo "the site is results/draft/site/index.html"
+	@echo "the site is results/draft/site/index.html; with its search: $(BIN)/python -m http.server -d results/draft/site"
 
 $(VENV)/.docs: $(READY) .ci/docs.lock
 	@echo "adding what builds the documentation ..."
@@ -113,10 +113,10 @@ export FIRST_PICTURE
 resolve = uv pip compile $(1) --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
 	--no-header --no-annotate $(2) -o $(3)
 
-lock: $(READY)
+lock:
 	$(call resolve,pyproject.toml,--extra dev,requirements.lock)
 	@# what builds the documentation is not part of the environment that everybody sets up
-	$(BIN)/python -c 'import tomllib as t; print(*t.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"], sep="\n")' \
+	$(PYTHON) -c 'import tomllib as t; print(*t.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"], sep="\n")' \
 		| $(call resolve,-,--constraint requirements.lock,.ci/docs.lock)
 	$(call resolve,pyproject.toml,$(addprefix --extra ,test xlsx geo dxf dask xarray) --resolution lowest-direct,.ci/lowest.lock)
 

@@ -7,9 +7,11 @@ A file outside docs/ that a page links to is copied to repository/, Markdown as 
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +113,7 @@ def presets() -> str:
         for name, text in options(group).items():
             shown.append(f"### {name}\n\n{text}.\n")
             rows = [
-                (f"`{one.key}`", f"`{one.value!r}`", one.unit, one.allowed, one.help)
+                (f"`{one.key}`", f"`{json.dumps(one.value)}`", one.unit, one.allowed, one.help)
                 for one in catalogue.parameters(name)
             ]
             shown.append(_table(("key", "value", "unit", "allowed", "meaning"), rows))
@@ -126,7 +128,7 @@ def tables() -> str:
     shown = []
     for title, found in columns.TABLES.items():
         rows = [
-            (f"`{name}`", kind, columns.unit_of(name), columns.meaning(name))
+            (f"`{name}`", kind, columns.unit_of(_statistic(name)), columns.meaning(name))
             for name, kind in found.items()
         ]
         shown.append(f"### {title}\n\n{_table(('column', 'type', 'unit', 'meaning'), rows)}")
@@ -168,6 +170,11 @@ PARTS: dict[str, Callable[[], str]] = {
 }
 
 
+def _statistic(column: str) -> str:
+    """The statistic of which a column holds the standard error or an end of the interval."""
+    return re.sub(r"_(se|low|high)$", "", column)
+
+
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """A Markdown table."""
     if not rows:
@@ -177,5 +184,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def _cell(value: object) -> str:
-    text = " ".join(str(value).split())
-    return text.replace("|", "\\|") if "`" in text else re.sub(r"([|<*_\[])", r"\\\1", text)
+    """A text as a table's cell: code stands between backquotes, and nothing else is markup."""
+    parts = re.split(r"(`[^`]+`)", " ".join(str(value).split()))
+    parts[::2] = [re.sub(r"([*_\[])", r"\\\1", escape(part, quote=False)) for part in parts[::2]]
+    return "".join(parts).replace("|", "\\|")

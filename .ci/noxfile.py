@@ -12,8 +12,8 @@ import nox
 PYTHONS = ["3.11", "3.12", "3.13"]
 EXTRAS = "test,dask,xlsx,geo,dxf,xarray"
 ROOT = Path(__file__).parents[1]
-# what finds a library that is too old soonest: the command line, each preset, compiled kernels,
-# tables, statistics
+# what finds a library that is too old soonest: the command line, compiled kernels, statistics,
+# tables
 LOWEST = (ROOT / ".ci" / "lowest.tests").read_text(encoding="utf-8").split()
 
 nox.options.sessions = ["lint", "tests", "lowest"]
@@ -45,3 +45,13 @@ def lint(session: nox.Session) -> None:
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("mypy")
+
+
+@nox.session(python=PYTHONS[0])
+def docs(session: nox.Session) -> None:
+    """The documentation as a site, in results/draft/site."""
+    session.chdir(ROOT)
+    for lock in ("requirements.lock", ".ci/docs.lock"):
+        session.install("--require-hashes", "-r", lock)
+    session.install("--no-deps", "-e", ".")
+    session.run("mkdocs", "build", "--quiet", "--strict", "-f", ".ci/mkdocs.yml")

@@ -154,7 +154,7 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
 
     with explained(Path(out)):
         frame = tables.load(_literal(out))
-    units = {name: unit for name in frame if (unit := unit_of(name))}
+    units = {name: unit for name in frame if (unit := unit_of(str(name)))}
     cells = frame["cell"].unique().tolist()
     frame.attrs = {"folder": os.fspath(out), "cells": cells, "units": units}
     return frame

@@ -1,7 +1,6 @@
 """What tests share beyond fixtures: comparisons that state by which tolerance they compare."""
 
 import errno
-import fcntl
 import os
 import struct
 import sys
@@ -108,6 +107,8 @@ class Msvcrt:
         self.places = []
 
     def locking(self, descriptor, mode, count):
+        import fcntl  # POSIX alone
+
         assert (mode, count) == (self.LK_NBLCK, 1)
         self.places.append(os.lseek(descriptor, 0, os.SEEK_CUR))
         wanted = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_CUR, 0, count, 0)

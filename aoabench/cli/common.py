@@ -6,7 +6,9 @@ import contextlib
 import json
 import math
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
@@ -72,6 +74,22 @@ def say(line: str = "") -> None:
 def echo(text: str, file: TextIO | None = None) -> None:
     """Print lines that may hold names and words from other people's files."""
     print(printable(text), file=file)
+
+
+def wrapped(line: str, indent: int) -> str:
+    """A line as it fits a terminal, further lines indented by `indent`; in a file or pipe as it
+    is.
+    """
+    if not sys.stdout.isatty():
+        return line
+    width = max(shutil.get_terminal_size().columns, 40)
+    return textwrap.fill(
+        line,
+        width,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 json_option = click.option(

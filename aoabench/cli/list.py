@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from aoabench.cli.common import Command, echo, json_option, print_json
+from aoabench.cli.common import Command, echo, json_option, print_json, wrapped
 from aoabench.config.presets import GROUPS, options
 from aoabench.errors import UserError
 
+if TYPE_CHECKING:
+    from aoabench.config.catalogue import Parameter
+
+_KEYS = ("reps", "seed", "plugins", "store", "until")  # of a run, beside those of the groups
+
 
 def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    known = [*GROUPS, *(name for group in GROUPS for name in options(group))]
-    return [name for name in known if name.startswith(incomplete)]
+    from aoabench.config import about
+
+    return [name for name in about.names() if name.startswith(incomplete)]
 
 
 @click.command("list", cls=Command)
@@ -23,7 +30,8 @@ def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     required=False,
     metavar="[NAME]",
     shell_complete=_names,
-    help="A config group, to list its presets, or a preset, to show its parameters.",
+    help="A config group, to list its presets; a preset, to show its source, needs and keys; or a "
+    "key, to show its meaning and range.",
 )
 @click.option(
     "--fits",
@@ -42,7 +50,9 @@ def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_
       aoabench list
       aoabench list filter
       aoabench list noise            (a group)
-      aoabench list ofdm_crlb        (a preset: its parameters)
+      aoabench list ofdm_crlb        (a preset: its source, what it needs or offers, its keys)
+      aoabench list until            (keys of a run)
+      aoabench list noise.sigma_deg  (a key, in each preset that has it)
       aoabench list --fits ble_room
 
     With --json: `groups`, an object with an object {preset: description} for each group; of a
@@ -57,8 +67,10 @@ def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_
         _print_fits(fits, config_dir, as_json)
     elif name is None or name in GROUPS:
         _print_groups([name] if name else list(GROUPS), config_dir, as_json)
+    elif "." in name or name in _KEYS:
+        _print_key(name, config_dir, as_json)
     else:
-        _print_parameters(name, config_dir, as_json)
+        _print_preset(name, config_dir, as_json)
 
 
 def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> None:
@@ -68,39 +80,73 @@ def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> N
         return
     for group, presets in found.items():
         echo(f"{group}:" if presets else f"{group}: (none yet)")
-        for preset, text in presets.items():
-            echo(f"  {preset:24s} {text}")
+        shipped = options(group)
+        for preset, description in presets.items():
+            text = description if preset in shipped else f"{description} (in {config_dir})".strip()
+            echo(wrapped(f"  {preset:24s} {text}", 27))
 
 
 def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
     from aoabench.config import catalogue
 
     found = catalogue.fitting(scenario, config_dir)
+    without = catalogue.not_in_all(config_dir)
     if as_json:
-        print_json({"fits": found})
+        mine = {g: {n: why for n, why in without[g].items() if n in found[g]} for g in found}
+        print_json({"fits": found, "not_in_all": mine})
         return
     for group, names in found.items():
         echo(f"{group}:" if names else f"{group}: none")
         for name, noises in names.items():
-            echo(f"  {name:24s} noise={','.join(noises)}")
+            why = without[group].get(name, "")
+            rest = f"    (not in {group}=all: {why})" if why else ""
+            echo(wrapped(f"  {name:24s} noise={','.join(noises)}{rest}", 27))
 
 
-def _print_parameters(name: str, config_dir: str | None, as_json: bool) -> None:
-    from aoabench.config import catalogue
+def _print_key(key: str, config_dir: str | None, as_json: bool) -> None:
+    from aoabench.config import about
 
-    group = catalogue.group_of(name, config_dir)
-    if group in ("runner", "experiment"):
-        raise UserError(
-            f"{name!r}: this preset has no parameters; "
-            f"`aoabench run {group}={name} --cfg job` shows its config"
-        )
-    found = catalogue.parameters(name, config_dir)
+    found = about.of_key(key, config_dir)
     if as_json:
-        print_json({"group": group, "preset": name, "parameters": [p._asdict() for p in found]})
+        rows = [{"preset": k.partition(" ")[0], **p._asdict()} for k, p in found.items()]
+        print_json({"key": key, "parameters": rows})
         return
-    echo(f"{group}={name}: {options(group, config_dir)[name]}")
-    for one in found:
-        value = json.dumps(one.value)
-        short = value if len(value) <= 24 else f"{value[:20]} ..."
-        text = f"{one.help} [{one.unit}]" if one.unit else one.help
-        echo(f"  {one.key:44s} {short:26s} {text}")
+    preset = ""
+    for place, one in found.items():
+        if (name := place.partition(" ")[0]) != preset:
+            preset = name
+            echo(f"{name}:")
+        _print_parameter(one)
+
+
+def _print_preset(name: str, config_dir: str | None, as_json: bool) -> None:
+    from aoabench.config import about
+
+    found = about.about(name, config_dir)
+    if as_json:
+        rows = [p._asdict() for p in found.parameters]
+        print_json({**found._asdict(), "parameters": rows})
+        return
+    echo(f"{found.group}={name}: {found.description}")
+    lines = {
+        "class": f"{found.target}: {found.what}" if found.target else "",
+        "source": found.source,
+        "needs": "; ".join(map(about.need_text, found.needs)),
+        "offers": ", ".join(found.offers or []),
+        f"not in {found.group}=all": found.not_in_all,
+        "example": found.example,
+    }
+    for head, text in lines.items():
+        if text:
+            echo(wrapped(f"  {head}: {text}", 4))
+    for one in found.parameters:
+        _print_parameter(one)
+
+
+def _print_parameter(one: Parameter) -> None:
+    """A key with its default, meaning, unit and range, on one line."""
+    value = json.dumps(one.value)
+    short = value if len(value) <= 24 else f"{value[:20]} ..."
+    text = f"{one.help} [{one.unit}]" if one.unit else one.help
+    limits = f"; {one.allowed}" if one.allowed else ""
+    echo(wrapped(f"  {one.key:44s} {short:26s} {text}{limits}", 6))

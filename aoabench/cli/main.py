@@ -243,4 +243,5 @@ def _signals() -> Iterator[list[signal.Signals]]:
         yield received
     finally:
         for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if received else handler)
+            if signal.getsignal(number) != signal.SIG_IGN:  # by a command that a signal has ended
+                signal.signal(number, signal.SIG_IGN if received else handler)

@@ -22,10 +22,10 @@ KINDS = ("estimator", "filter", "noise", "scenario")
     help="The folder to write into.  [default: this one]",
 )
 def new(kind: str, name: str, folder: Path) -> None:
-    """Write a plug-in to start from: a class, a preset and a test that pass at once.
+    """Write a plug-in to start from: a class, a preset, a test.
 
-    NAME.py has the class, conf/KIND/NAME.yaml the preset and test_NAME.py a test by
-    aoabench.testing. No file is replaced. A track of your own in a file needs no class:
+    The test passes at once. NAME.py has the class, conf/KIND/NAME.yaml the preset and test_NAME.py
+    a test by aoabench.testing. No file is replaced. A track of your own in a file needs no class:
     `aoabench run scenario=track scenario.path=FILE`.
 
     \b

@@ -13,9 +13,9 @@ from aoabench.cell import Cell
 from aoabench.cli.outcomes import not_ok, not_ok_text
 from aoabench.cli.tags import tags, tags_text, told
 from aoabench.columns import SUMMARY
-from aoabench.report.exported import differing
 from aoabench.report.tails import heavy_tails, heavy_tails_text
 from aoabench.report.text import NON_CAUSAL, interval_text, metric_title, shown_name
+from aoabench.store.swept import differing
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -27,7 +27,8 @@ class Stop:
 @contextmanager
 def held() -> Iterator[Stop]:
     """Yield what tells that a signal has come, in place of KeyboardInterrupt, which comes only from
-    a signal _GRACE_S later. Signals that are ignored stay ignored.
+    a signal _GRACE_S later. Signals that are ignored stay ignored; afterwards all are, if one has
+    come, because it has ended the command and the process ends too.
     """
     source, sink = os.pipe()
     stop, first = Stop(source), [0.0]
@@ -47,6 +48,6 @@ def held() -> Iterator[Stop]:
         yield stop
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, handler if stop.number is None else signal.SIG_IGN)
         os.close(source)
         os.close(sink)

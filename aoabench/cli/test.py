@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 )
 @json_option
 def test(plugin: str, config_dir: str | None, skip: str, as_json: bool) -> int:
-    """Try the plug-ins of a module in small simulations and say which rules they break.
+    """Try plug-ins in small simulations; say which rules they break.
 
     Each estimator, filter, noise and scenario that the module defines is tried: with its presets
     in --config-dir, else with its default parameters. The rules are those of aoabench.testing:

@@ -74,7 +74,7 @@ def own_presets(config_dir: str, plugin: str) -> dict[tuple[str, str], Any]:
     for group in GROUPS[:4]:
         for name in own_options(group, config_dir):
             chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
-            plain = _composed([chosen], config_dir, (plugin,))
+            plain = composed([chosen], config_dir, (plugin,))
             path = f"{group}.{name}" if group in LISTS else group
             node = plain[group][name] if group in LISTS else plain[group]
             target = str(node.get("_target_", "")) if isinstance(node, dict) else ""
@@ -105,7 +105,7 @@ def fitting_presets(
 ) -> list[tuple[str, str]]:
     """Group and name of the filters and estimators that run in a scenario with a noise."""
     chosen = [f"scenario={scenario}", f"noise={noise}"]
-    plain = _composed([*chosen, *_every_estimator(config_dir)], config_dir)
+    plain = composed([*chosen, *_every_estimator(config_dir)], config_dir)
     place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
     errors = as_noise(construct(plain["noise"], "noise"), "noise")
     return list(_that_fit(plain, place, errors))
@@ -113,7 +113,7 @@ def fitting_presets(
 
 def not_in_all(config_dir: str | None = None) -> dict[str, dict[str, str]]:
     """By group and name, the presets that `all` leaves out in every scenario, with the reason."""
-    nodes = _composed(_every_estimator(config_dir), config_dir)
+    nodes = composed(_every_estimator(config_dir), config_dir)
     found: dict[str, dict[str, str]] = {}
     for group in LISTS:
         known = {name: variant_of(words) for name, words in variants(group, config_dir).items()}
@@ -162,16 +162,14 @@ def _shipped_nodes(group: str) -> dict[str, Any]:
     from hydra import compose
 
     with hydra_initialised():
-        composed = {
-            name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)
-        }
-    return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in composed.items()}
+        nodes = {name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)}
+    return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in nodes.items()}
 
 
 @cache
 def _shipped_estimators() -> dict[str, Any]:
     """The resolved config with all shipped filters and estimators."""
-    return _composed(_every_estimator())
+    return composed(_every_estimator())
 
 
 def _every_estimator(config_dir: str | None = None) -> list[str]:
@@ -179,7 +177,7 @@ def _every_estimator(config_dir: str | None = None) -> list[str]:
     return [f"{group}=[{','.join(options(group, config_dir))}]" for group in LISTS]
 
 
-def _composed(
+def composed(
     overrides: Sequence[str], config_dir: str | None = None, plugins: Sequence[str] = ()
 ) -> dict[str, Any]:
     """The resolved config with these overrides."""

@@ -19,7 +19,7 @@ def quoted_names(parser: Any, value: str, sweep: bool) -> str:
     """
     from hydra.core.override_parser.types import ChoiceSweep
 
-    found = _UNREADABLE if _SHARE.search(value) else _parsed_value(parser, value)
+    found: Any = _UNREADABLE if _SHARE.search(value) else _parsed_value(parser, value)
     simple_sweep = isinstance(found, ChoiceSweep) and found.simple_form
     if simple_sweep and sweep and all(map(_stays, found.list)):
         return value

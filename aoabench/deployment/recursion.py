@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aoabench.deployment.solving import Residuals, Solved, joined, residuals_of, solve
+from aoabench.deployment.resumed import Reached, fits, resumed
+from aoabench.deployment.solving import Solved, joined, residuals_of, solve
 from aoabench.engine.draws import Draws
 from aoabench.engine.tiles import checked
 from aoabench.errors import UserError
@@ -20,7 +21,7 @@ from aoabench.maths.geometry import Array
 from aoabench.noise.recorded import Recorded as RecordedNoise
 from aoabench.roles import Estimator
 from aoabench.scenarios.recorded import Recorded
-from aoabench.types import Batch, Estimates, Tracks
+from aoabench.types import Anchors, Batch, Estimates, Tracks
 
 
 class State(NamedTuple):
@@ -60,19 +61,42 @@ class Method:
 
     def solve(self, tracks: Tracks, numbers: np.ndarray) -> Solved:
         """The fixes of tracks with `numbers` (R,), which go on where the last call ended."""
-        if isinstance(self.method, GaussianFilter):
-            each = [self._step(self.method, tracks, i, int(n)) for i, n in enumerate(numbers)]
-            pairs = zip(tracks.starts, (found.residuals for found in each))
-            residuals = [replace(one, fix=one.fix + start) for start, one in pairs]
-            estimates = joined([found.estimates for found in each])
-            return Solved(estimates, Residuals.joined(residuals), {})
         whole = replace(tracks, tags=("",), counts=np.array([len(tracks.fix)]))
         alone = self.scenario.with_tracks(whole)
-        return solve(alone, RecordedNoise(), self.method, whole.counts)
+        if not isinstance(self.method, GaussianFilter):
+            return solve(alone, RecordedNoise(), self.method, whole.counts)
+        batch = Draws(alone, RecordedNoise(), seed=0).drawn(0, 1).whole
+        steps = self._steps(self.method, tracks, batch, numbers.tolist())
+        each = [
+            self._noted(self.method, tracks, i, number, *steps[i])
+            for i, number in enumerate(numbers.tolist())
+        ]
+        estimates = checked(joined(each), (1, len(tracks.fix)), self.method.label)
+        return Solved(estimates, residuals_of(batch, estimates.position), {})
 
-    def _step(self, method: GaussianFilter, tracks: Tracks, i: int, number: int) -> Solved:
-        """The fixes of one track by a Kalman filter."""
-        state = self.states.get(number)
+    def _steps(
+        self, method: GaussianFilter, tracks: Tracks, batch: Batch, numbers: list[int]
+    ) -> dict[int, tuple[Filtered, Belief]]:
+        """The states in the fixes of each track, and the prior of the track. Tracks that go on are
+        filtered together, where that is possible.
+        """
+        old = [i for i, number in enumerate(numbers) if number in self.states]
+        states = [self.states[numbers[i]] for i in old]
+        found: dict[int, tuple[Filtered, Belief]] = {}
+        if states:
+            means, covariances, times = zip(*((s.mean[0], s.covariance, s.time) for s in states))
+            reached = Reached(np.stack(means), np.stack(covariances), np.array(times))
+            if fits(method, tracks, reached):
+                steps = resumed(method, self.scenario, tracks, batch, old, reached)
+                found = {i: (step, s.prior) for i, step, s in zip(old, steps, states)}
+        for i in (i for i in range(len(numbers)) if i not in found):
+            found[i] = self._alone(method, tracks, i, self.states.get(numbers[i]))
+        return found
+
+    def _alone(
+        self, method: GaussianFilter, tracks: Tracks, i: int, state: State | None
+    ) -> tuple[Filtered, Belief]:
+        """The states in the fixes of one track, and its prior."""
         motion, start_s = self.scenario.motion, None if state is None else state.time
         some = self.scenario.with_tracks(tracks, start_s, motion)
         drawn = some if state is None else some.with_tracks(tracks)  # which computes no prior
@@ -80,24 +104,37 @@ class Method:
         if state is not None:
             batch = replace(batch, prior_mean=state.mean, prior_cov=state.covariance)
         found, belief = method.recursion(batch, some, whole=True)
+        return found, belief if state is None else state.prior
+
+    def _noted(
+        self,
+        method: GaussianFilter,
+        tracks: Tracks,
+        i: int,
+        number: int,
+        found: Filtered,
+        prior: Belief,
+    ) -> Estimates:
+        """The estimates of the fixes of one track, whose state is kept."""
+        state, some = self.states.get(number), slice(*tracks.starts[i : i + 2])
         seen = found._replace(
             position=found.position[..., :3], covariance=found.covariance[..., :3, :3]
         )
         if state is not None:
-            belief = belief._replace(mean=state.prior.mean, covariance=state.prior.covariance)
             seen = _after(state.last, seen)
-        estimates = _last(method.outcomes(seen, None, batch.layout, belief), batch)
-        times = tracks.time[tracks.starts[i] : tracks.starts[i + 1]]
-        before = np.nan if state is None else state.time
+        T, before = tracks.counts[i], np.nan if state is None else state.time
+        layout = self.scenario.true_anchors
+        if tracks.poses is not None:
+            layout = _longer(tracks.poses.at(np.arange(some.start, some.stop)), seen)
+        estimates = _last(method.outcomes(seen, None, layout, prior), T)
         self.states[number] = State(
             mean=found.position[:, -1],
             covariance=found.covariance[0, -1],
-            time=float(np.fmax.reduce(times, initial=before)),
-            prior=belief,
+            time=float(np.fmax.reduce(tracks.time[some], initial=before)),
+            prior=prior,
             last=Filtered(*(_cut(a, method.innovation_steps) for a in seen)),
         )
-        residuals = residuals_of(batch, estimates.position)
-        return Solved(estimates, residuals, {})
+        return estimates
 
 
 def _after(before: Filtered, now: Filtered) -> Filtered:
@@ -112,9 +149,14 @@ def _cut(array: np.ndarray | None, count: int) -> np.ndarray:
     return np.asarray(array[:, -count:])
 
 
-def _last(estimates: Estimates, batch: Batch) -> Estimates:
-    """The estimates of the batch's steps, which are the last ones."""
-    T = batch.azimuth.shape[1]
+def _longer(anchors: Anchors, seen: Filtered) -> Anchors:
+    """The anchors (1, T, ...) of the last steps, from the first of them also in those before."""
+    count, T = anchors.position.shape[1], seen.position.shape[1]
+    return anchors.at(np.maximum(np.arange(T) - (T - count), 0))
+
+
+def _last(estimates: Estimates, T: int) -> Estimates:
+    """The estimates of the last T steps."""
     given = {f.name: getattr(estimates, f.name) for f in fields(Estimates)}
     cut = {name: None if a is None else a[:, -T:] for name, a in given.items()}
-    return checked(Estimates(**cut), (1, T), "filter")  # type: ignore[arg-type]
+    return Estimates(**cut)  # type: ignore[arg-type]

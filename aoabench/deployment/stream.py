@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 PIECE = 2**18  # bytes that are read at once
-GATHER_S = 0.005, 0.015  # what arrives within this time is read together: at least, at most
+GATHER_S = 0.005, 0.01  # what arrives within this time is read together: at least, at most
 SHARE = 3  # times as long as the piece before took
 
 

@@ -134,6 +134,23 @@ def check_degrees(key: str, value: object, lat: Array, lon: Array, origin: Origi
     raise BadValue(key, value, allowed)
 
 
+def local_positions(key: str, path: str, degrees: Array, origin: Origin | None) -> Array:
+    """Local positions (M, 3) m from latitudes, longitudes deg and heights m; z is unknown where the
+    height is. Raises BadValue, which names `key` and `path`, for degrees of another place, and
+    without an origin.
+    """
+    if origin is None:
+        allowed = f"latitude and longitude of the local (0, 0), because {path} is in degrees"
+        raise BadValue("origin_deg", None, allowed)
+    found = np.full(degrees.shape, np.nan)
+    some = np.isfinite(degrees[:, :2]).all(axis=1)
+    lat, lon, height = degrees[some].T
+    check_degrees(key, path, lat, lon, origin)
+    found[some] = origin.local(lat, lon, np.nan_to_num(height))
+    found[np.isnan(degrees[:, 2]), 2] = np.nan
+    return found
+
+
 def degree_columns(present: Sequence[str]) -> tuple[str, str, str | None] | None:
     """The columns of latitude, longitude and, or None, height among a file's columns; None if the
     file lacks a latitude or a longitude. Upper and lower case are the same.

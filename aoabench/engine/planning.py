@@ -15,6 +15,7 @@ from aoabench.store.keys import Origin
 from aoabench.store.parts import Part, missing_ranges
 
 _LARGEST_CHUNK = 1024  # replications per task, for an even load and bounded memory
+_TASKS, _FEWEST = 16, 4  # per core: tasks of all cells together at least, and of each cell
 
 
 def merged(cells: Sequence[Cell]) -> list[Cell]:
@@ -44,9 +45,11 @@ def tasks_of(
     origin: Origin,
     done: Mapping[str, list[Part]],
     goal: int,
+    cells: int = 1,
 ) -> Iterator[Task]:
     """Yield tasks of whole tiles for the missing replications of the estimators in `done` (name ->
-    stored parts).
+    stored parts). The more `cells` are planned together, the fewer tasks each of them needs to keep
+    all cores busy, and the fewer parts its replications are stored in.
 
     Estimators with the same tile size and the same gap share a task, and so its draws.
     """
@@ -56,9 +59,8 @@ def tasks_of(
         for gap in missing_ranges(ranges, goal):
             gaps[*gap, tiles.tile_of(cell.estimators[name], cell.scenario)][name] = keys[name]
     for (start, stop, tile), names in sorted(gaps.items()):
-        chunk = cell.runner.chunk or min(
-            math.ceil((stop - start) / (16 * cores(cell.runner.n_jobs))), _LARGEST_CHUNK
-        )
+        tasks = max(math.ceil(_TASKS / cells), _FEWEST) * cores(cell.runner.n_jobs)
+        chunk = cell.runner.chunk or min(math.ceil((stop - start) / tasks), _LARGEST_CHUNK)
         chunk = math.ceil(chunk / tile) * tile
         for first in range(start - start % chunk, stop, chunk):
             yield Task(cell, names, origin, max(first, start), min(first + chunk, stop))

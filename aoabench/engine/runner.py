@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from aoabench.cell import Cell, Until
 from aoabench.engine.faults import KEPT, explained, report, writable
 from aoabench.engine.machines import Machines
@@ -107,6 +109,7 @@ class _Run:
         self.goal: dict[str, int] = {}  # by cell: number of replications to reach next
         self.stopped: dict[str, str] = {}  # by cell: the reason
         self.precision: dict[str, dict[str, dict[str, Any]]] = {}  # by cell and estimator
+        self.known: dict[str, np.ndarray] = {}  # by part key: the metric that is to be precise
         self.damaged: list[Path] = []
         self.machines = Machines(
             self.options.other_machines == "refuse", remote=self.options.backend == "dask"
@@ -193,7 +196,8 @@ class _Run:
                     done[name] = parts
                 self._check(cell, name)
             if cell.id not in self.stopped:
-                tasks += tasks_of(cell, self.keys[cell.id], self.origins[cell.id], done, goal)
+                keys, origin = self.keys[cell.id], self.origins[cell.id]
+                tasks += tasks_of(cell, keys, origin, done, goal, len(cells))
         self.machines.settle()
         return spread(tasks, idle(self.options))
 
@@ -233,7 +237,9 @@ class _Run:
         goal = self.goal[cell.id]
         rows: dict[str, dict[str, Any]] = {}
         for name, key in self.keys[cell.id].items():
-            mean = statistics.mean(values(self.out, key, until.metric, goal))
+            known = self.known.get(key, np.empty(0))
+            self.known[key] = values(self.out, key, until.metric, goal, known)
+            mean = statistics.mean(self.known[key])
             relative = mean.se / abs(mean.value) if mean.value else math.nan
             wanted = [(mean.se, until.se), (relative, until.relative_se)]
             reached = all(limit is None or error <= limit for error, limit in wanted)

@@ -168,7 +168,9 @@ def _bar(total: int, shown: bool | str) -> Iterator[Any]:
 
     console = Console(stderr=True)
     # FORCE_COLOR makes rich take any file for a terminal
-    watched = bool(shown) and console.is_terminal and sys.stderr.isatty()
+    if not (shown and console.is_terminal and sys.stderr.isatty()):
+        yield lambda n: None
+        return
     columns = (
         TextColumn(shown if isinstance(shown, str) else "replications"),
         BarColumn(),
@@ -176,7 +178,7 @@ def _bar(total: int, shown: bool | str) -> Iterator[Any]:
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=not watched, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         line = bar.add_task("", total=total, rate="")
 
         def advance(n: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from aoabench.report.text import NON_CAUSAL
 from aoabench.store.compare import COLUMNS, IDENTITY
 from aoabench.store.comparison import FAILURES, LEVEL
+from aoabench.store.swept import differing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,9 +19,11 @@ if TYPE_CHECKING:
 
 def lines(table: pd.DataFrame) -> Iterator[str]:
     """The table of `compare` as text, a paragraph for each cell."""
+    free = [c for c in table.columns if c not in (*IDENTITY, *COLUMNS)]
+    varied = [c for c in differing(table, ["scenario", "noise", *free]) if c in free]
     for _, rows in table.groupby("cell", sort=False):
         yield ""
-        yield _head(rows)
+        yield _head(rows, varied)
         yield from (f"  {text}" for text in rows["text"])
     left_out = table.attrs["left_out"]
     if left_out:
@@ -35,12 +38,11 @@ def lines(table: pd.DataFrame) -> Iterator[str]:
         yield from _method(table)
 
 
-def _head(rows: pd.DataFrame) -> str:
-    """Heading of a cell: its parameters, the metric with the baseline's mean, and the clustering of
-    the intervals.
+def _head(rows: pd.DataFrame, varied: Sequence[str]) -> str:
+    """Heading of a cell: its parameters among those that vary, the metric with the baseline's mean,
+    and the clustering of the intervals.
     """
     first = rows.iloc[0]
-    varied = [c for c in rows.columns if c not in (*IDENTITY, *COLUMNS)]
     where = "".join(f" {c}={first[c]}" for c in varied)
     known = not math.isnan(first["baseline_mean"])
     level = f" of {first['baseline']} = {first['baseline_mean']:.4g}" if known else ""

@@ -14,6 +14,7 @@ from aoabench.columns import IDENTITY, SUMMARY, TIMING, unit_of
 from aoabench.errors import UserError, did_you_mean
 from aoabench.report.text import interval_parts, metric_title, number_text
 from aoabench.store import tables
+from aoabench.store.swept import differing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,23 +143,6 @@ def _varied(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     """
     some = [*differing(frame, [k for k in keys if k not in ("cell", "estimator")]), "estimator"]
     return ["cell", *some] if frame.duplicated(some).any() else some
-
-
-def differing(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
-    """The keys with several values in the frame; parameters of scenario and noise alone where they
-    differ between cells of the same scenario and noise, as another preset has other parameters.
-    """
-    some = [key for key in keys if frame[key].nunique(dropna=False) > 1]
-    presets = [key for key in ("scenario", "noise") if key in some]
-    if not presets:
-        return some
-    groups = frame.groupby(presets, dropna=False)
-    return [
-        key
-        for key in some
-        if not key.startswith(("scenario.", "noise."))
-        or (groups[key].nunique(dropna=False) > 1).any()
-    ]
 
 
 def by_value(table: Exported, by: str) -> list[tuple[Any, pd.DataFrame]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aoabench.devices.readers.sources import natural
 from aoabench.report import plots
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def _tracks(axis: Any, frame: pd.DataFrame) -> Any:
     if not len(given):
         return None
     norm = Normalize(given["at"].min(), given["at"].max())
-    tags = list(dict.fromkeys(given["tag"].fillna("")))
+    tags = sorted(set(given["tag"].fillna("")), key=natural)
     drawn = None
     colour = _colours(tags)
     for _, one in given.groupby("track", sort=True):

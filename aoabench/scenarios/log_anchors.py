@@ -14,7 +14,7 @@ from aoabench.devices.readers.reading import Content
 from aoabench.devices.readers.table import Table
 from aoabench.devices.tracks import identity, log
 from aoabench.devices.tracks.naming import chosen_columns, default_names
-from aoabench.devices.tracks.packets import names_of
+from aoabench.devices.tracks.packets import check_truth, names_of
 from aoabench.devices.tracks.poses import DEFAULTS, DEGREES, METRES, TURNS, check_columns, receivers
 from aoabench.errors import BadValue, listed
 from aoabench.scenarios.layout import AnchorLayout
@@ -54,7 +54,7 @@ def _of_log(place: LogParameters, origin: Origin | None) -> AnchorsFile:
     if "anchor" in own:
         number, ids = names_of(table, "anchor")
     else:
-        number, ids = np.zeros(len(table.frame), dtype=int), ["1"]
+        number, ids = np.zeros(table.count, dtype=int), ["1"]
     return receivers(table, number, ids, origin)
 
 
@@ -78,7 +78,7 @@ def columns_of(place: LogParameters, content: Content) -> dict[str, str]:
     required = {"azimuth"} | heading | (set() if moving else {"anchor"})
     chosen = chosen_columns(place.path, present, named, names, required)
     check_columns(chosen, place.path)
-    own = [chosen[axis] for axis in "xyz" if axis in chosen]
+    own = check_truth(chosen, place.path)
     if place.truth_file is not None and own:
         allowed = f"null, for a log with true positions of its own; it has {listed(own)}"
         raise BadValue("truth", place.truth_file, allowed)

@@ -50,6 +50,9 @@ class LogParameters(Scenario, ABC):
         None, "character between a table's cells, tab or space; null: recognised"
     )
     decimal: str | None = param(None, "decimal mark of a table's numbers; null: recognised")
+    encoding: str | None = param(
+        None, "encoding of a text, such as cp1252; null: UTF-8, or UTF-16 by its mark"
+    )
     columns: Columns = param(
         Columns(),
         "names of the file's columns",
@@ -207,7 +210,8 @@ class LogParameters(Scenario, ABC):
         """How the log is read."""
         named = [name for name in asdict(self.columns).values() if name and ANCHOR in name]
         header = None if self.header is None else tuple(map(str, self.header))
-        return Reading(self.format, header, self.separator, self.decimal, tuple(named))
+        marks = self.separator, self.decimal
+        return Reading(self.format, header, *marks, tuple(named), self.encoding)
 
     @property
     def turns(self) -> bool:

@@ -163,7 +163,7 @@ class Track(Scenario):
         height = 0.0 if self.height_m is None else self.height_m
         position = np.where(np.isnan(file.position), height, file.position)
         if file.start is None:
-            return position, self.dt * np.arange(len(position))
+            return position, self.dt * np.arange(float(len(position)))
         early = np.diff(file.start, prepend=-np.inf) <= 0
         column = "start" if "start" in file.table.names else "time"
         file.table.check(column, early, "times that increase from row to row")

@@ -193,10 +193,16 @@ def replay_command(
     return shlex.join([*words, "--plugins", ",".join(plugins)] if plugins else words)
 
 
-def values(out: Path, key: str, column: str, reps: int) -> np.ndarray:
-    """One column (reps,) of the first `reps` replications of a part key."""
-    parts = noted_parts(out, {"key": key, "reps": reps}, "rows")
-    return np.concatenate([part[column].to_numpy() for part in parts])
+def values(
+    out: Path, key: str, column: str, reps: int, known: np.ndarray | None = None
+) -> np.ndarray:
+    """One column (reps,) of the first `reps` replications of a part key, of which the first are
+    `known`.
+    """
+    before = np.empty(0) if known is None else known[:reps]
+    entry = {"key": key, "reps": reps}
+    parts = noted_parts(out, entry, "rows", ["replication", column], first=len(before))
+    return np.concatenate([before, *(part[column].to_numpy() for part in parts)])
 
 
 def value(out: Path, key: str, column: str, replication: int) -> float:
@@ -217,8 +223,9 @@ def noted_parts(
     kind: str,
     columns: list[str] | None = None,
     parts: Sequence[Part] | None = None,
+    first: int = 0,
 ) -> Iterator[pa.Table]:
-    """The parts of one recorded estimator as tables, cut to its replications 0 ... reps-1, in
+    """The parts of one recorded estimator as tables, cut to its replications first ... reps-1, in
     order; `columns`, which include `replication`, are all if None. `parts` are its intact parts,
     where they are known.
 
@@ -228,7 +235,7 @@ def noted_parts(
     import pyarrow as pa
 
     inner = schema({n: type_ for n, type_ in KINDS[kind].items() if n not in IDENTITY})
-    position = 0
+    position = first
     for found in intact_parts(out, entry["key"]) if parts is None else parts:
         if kind not in found.files or found.stop <= position or found.start >= entry["reps"]:
             continue

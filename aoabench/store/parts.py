@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import os
 import re
+import time
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from aoabench.columns import IDENTITY, KINDS
 from aoabench.store.documents import read_document, write_document
@@ -39,6 +40,17 @@ class Part:
     stop: int
     files: Mapping[str, Path]
     machine: Mapping[str, str] | None = None
+
+
+class Status(NamedTuple):
+    """What tells a changed file: its size, the times of its content and of its status, its
+    inode.
+    """
+
+    size: int
+    modified_ns: int
+    changed_ns: int
+    inode: int
 
 
 def write_part(
@@ -72,10 +84,41 @@ def _span(start: int, stop: int) -> str:
     return f"{start:09d}-{stop:09d}"
 
 
+_SETTLED_NS = 2_000_000_000  # age of a file whose next change gets another time
+_MOST_KNOWN = 2**17  # parts
+_known: dict[Path, tuple[Part, tuple[Status, ...]]] = {}  # verified by this process, settled files
+
+
 def _verified(checksums: Path) -> Part | None:
     """The part of a checksum file; None if the checksum file is torn, altered or moved, or does not
-    match its files.
+    match its files. A part that this process has verified is not read again while size, times and
+    inode of its files stay as they are.
     """
+    path = checksums.absolute()
+    part, before = _known.get(path, (None, ()))
+    if part is not None and _statuses(checksums, part) == before:
+        return part
+    now = time.time_ns()
+    part = _compared(checksums)
+    statuses = () if part is None else _statuses(checksums, part)
+    if part and statuses and all(now - s.changed_ns > _SETTLED_NS for s in statuses):
+        if len(_known) >= _MOST_KNOWN:
+            _known.clear()
+        _known[path] = part, statuses
+    return part
+
+
+def _statuses(checksums: Path, part: Part) -> tuple[Status, ...]:
+    """The statuses of a part's checksum file and of its files; () if one is missing."""
+    try:
+        found = [os.stat(file) for file in (checksums, *part.files.values())]
+    except OSError:
+        return ()
+    return tuple(Status(s.st_size, s.st_mtime_ns, s.st_ctime_ns, s.st_ino) for s in found)
+
+
+def _compared(checksums: Path) -> Part | None:
+    """The part of a checksum file, as for `_verified`, from the content of all its files."""
     try:
         content = read_document(checksums)
         if "format" not in content:

@@ -49,6 +49,23 @@ def cell_table(index: Index, swept: Mapping[str, Sequence[Any]]) -> pd.DataFrame
     return cells
 
 
+def differing(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
+    """The keys with several values in the frame; parameters of scenario and noise alone where they
+    differ between cells of the same scenario and noise, as another preset has other parameters.
+    """
+    some = [key for key in keys if frame[key].nunique(dropna=False) > 1]
+    presets = [key for key in ("scenario", "noise") if key in some]
+    if not presets:
+        return some
+    groups = frame.groupby(presets, dropna=False)
+    return [
+        key
+        for key in some
+        if not key.startswith(("scenario.", "noise."))
+        or (groups[key].nunique(dropna=False) > 1).any()
+    ]
+
+
 def _decoded(texts: pa.ChunkedArray) -> list[Any]:
     """The values of a parameter from JSON; values of mixed types become text."""
     coded = texts.fill_null("null").combine_chunks().dictionary_encode()

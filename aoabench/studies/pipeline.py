@@ -48,10 +48,12 @@ class Pipeline:
     def compute(self, pairs: Sequence[Pair]) -> None:
         """Compute all items. Raises what the first of them raises."""
         with Background() as background:
-            tables = []
+            tables: list[Future[None]] = []
             for number, (s, item) in enumerate(pairs):
                 # a fresh run replaces parts that the item before may share and still read
                 self._tell(wait=item.times or self.runs.fresh)
+                if item.times:
+                    _wait_for(tables)
                 title = f"{s.name} {item.name} ({self.pace.text()})"
                 begin = time.perf_counter()
                 ran = computing.run(s, item, self.scale, self.runs, title)
@@ -62,9 +64,7 @@ class Pipeline:
                 if all(other.name != s.name for other, _ in pairs[number + 1 :]):
                     tables.append(background.submit(partial(self.runs.tabulate, s)))
             self._tell(wait=True)
-            with progress.shown("tables of the replications"):
-                for made in tables:
-                    made.result()
+            _wait_for(tables)
 
     def _finish(
         self, s: Study, item: Item, ran: Ran | None, took_s: float
@@ -91,6 +91,13 @@ class Pipeline:
             self.echo(f"{rows} ({self.scale}); {self.pace.text()}")
             self.problems[s.name, item.name] = problem
             tell_problem(s, item, self.places, self.echo, problem)
+
+
+def _wait_for(tables: Sequence[Future[None]]) -> None:
+    """Wait until the tables of some studies are made; raises what making them raises."""
+    with progress.shown("tables of the replications"):
+        for made in tables:
+            made.result()
 
 
 def write_table(

@@ -23,19 +23,16 @@ def repeatable(trial: Trial) -> str:
 
 def untouched(trial: Trial) -> str:
     """Whether a call changes its batch."""
-    batch = trial.batch
-    arrays = {n: a.copy() for n, a in batch.arrays.items() if a is not None}
-    places = replace(batch.anchors, **{n: a.copy() for n, a in batch.anchors.arrays.items()})
-    own = replace(batch, anchors=places, **arrays)  # type: ignore[arg-type]
+    given, places = trial.batch, trial.batch.anchors
+    arrays = {n: a.copy() for n, a in given.arrays.items() if a is not None}
+    anchors = {n: a.copy() for n, a in places.arrays.items()}
+    own = replace(given, anchors=replace(places, **anchors), **arrays)  # type: ignore[arg-type]
+    before = {n: a.copy() for n, a in arrays.items()} | {
+        f"anchors.{n}": a.copy() for n, a in anchors.items()
+    }
     trial.run(own)
-    changed = [
-        n for n, a in arrays.items() if not np.array_equal(a, batch.arrays[n], equal_nan=True)
-    ]  # type: ignore[arg-type]
-    changed += [
-        f"anchors.{n}"
-        for n, a in own.anchors.arrays.items()
-        if not np.array_equal(a, batch.anchors.arrays[n])
-    ]
+    after = arrays | {f"anchors.{n}": a for n, a in own.anchors.arrays.items()}
+    changed = [n for n, a in before.items() if not np.array_equal(a, after[n], equal_nan=True)]
     return f"it changes batch.{', batch.'.join(changed)} in place" if changed else ""
 
 

@@ -75,8 +75,9 @@ def _created(texts: Mapping[Path, str]) -> list[Path]:
 def _rendered(template: str, words: Mapping[str, str]) -> str:
     from jinja2 import Environment, StrictUndefined
 
-    options = {"trim_blocks": True, "keep_trailing_newline": True}
-    environment = Environment(undefined=StrictUndefined, autoescape=False, **options)
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True
+    )
     source = (Path(__file__).parent / "templates" / template).read_text(encoding="utf-8")
     return environment.from_string(source).render(words)
 

@@ -24,7 +24,7 @@ def measured(batch: Batch) -> dict[str, Array]:
     return {n: a for n, a in batch.arrays.items() if n in MEASURED and a is not None}
 
 
-def without(batch: Batch, absent: np.ndarray, *names: str) -> Batch:
+def without(batch: Batch, absent: np.ndarray | bool, *names: str) -> Batch:
     """The batch in which the measurements `names`, or all, are NaN where `absent` (R, T, B) or what
     broadcasts to it.
     """
@@ -69,7 +69,7 @@ def rotated(batch: Batch, turn: Array) -> Batch:
 
 def blocks(turn: Array, n: int) -> Array:
     """The rotation (n, n) of a state of n / 3 vectors."""
-    return np.kron(np.eye(n // 3), turn)
+    return np.asarray(np.kron(np.eye(n // 3), turn), dtype=float)
 
 
 def across_the_jump(batch: Batch) -> Batch:

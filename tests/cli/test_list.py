@@ -1,8 +1,15 @@
 """`aoabench list`."""
 
 import json
+import shlex
 
+import yaml
+
+from aoabench.cli.common import wrapped
+from aoabench.config import about, compose
+from aoabench.config.compose import compose_cells
 from aoabench.config.presets import GROUPS, options
+from aoabench.maths.digest import flatten
 
 
 def test_groups_and_presets(call, tmp_path):
@@ -13,7 +20,7 @@ def test_groups_and_presets(call, tmp_path):
     assert call("list", "runner")[1].splitlines()[0] == "runner:"
     (tmp_path / "noise").mkdir()
     (tmp_path / "noise" / "mine.yaml").write_text("# My noise\n")
-    assert "My noise" in call("list", "noise", "--config-dir", tmp_path)[1]
+    assert f"My noise (in {tmp_path})\n" in call("list", "noise", "--config-dir", tmp_path)[1]
     assert call("list", "--config-dir", tmp_path / "no")[0] == 2
 
 
@@ -35,3 +42,76 @@ def test_what_fits_a_scenario_has_only_the_noises_that_each_method_takes(call):
     found = json.loads(call("list", "--fits", "indoor_map", "--json")[1])["fits"]
     assert found["filter"]["ekf_ae_adaptive"] == ["ae_flip", "ae_normal", "vmf"]
     assert "ble_multipath" in found["filter"]["ekf_vmf"]
+
+
+def test_a_preset_with_source_needs_and_an_example_that_runs(call):
+    status, out, err = call("list", "wcg", "--json")
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert "[Lu 2019, (12)-(14)]" in found["source"]
+    assert found["needs"] == ["delay", "elevation", "stated_sigma"]
+    assert found["not_in_all"] == ""
+    words = shlex.split(found["example"])
+    assert list(compose_cells(words[2:])[0].estimators) == ["wcg"]
+    text = call("list", "wcg")[1]
+    assert "needs: a noise that measures times of arrival" in text
+    assert json.loads(call("list", "vmf", "--json")[1])["offers"] == ["elevation", "stated_sigma"]
+    for name, why in (("map_smoother", "a smoother"), ("wcg_as_printed", "a variant of wcg")):
+        assert json.loads(call("list", name, "--json")[1])["not_in_all"].startswith(why)
+        assert (
+            f"not in {'filter' if name == 'map_smoother' else 'estimator'}=all: {why}"
+            in call("list", name)[1]
+        )
+    assert "scenario.path=..." in call("list", "recorded")[1], "what it cannot be built without"
+    assert "experiment=leaderboard_bs_grid" in call("list", "leaderboard_bs_grid")[1]
+
+
+def test_a_parameter_with_meaning_unit_and_range(call):
+    out = call("list", "ekf_vmf")[1]
+    line = next(line for line in out.splitlines() if "measurement.unstated_deg" in line)
+    assert line.split()[0] == "filter.ekf_vmf.measurement.unstated_deg"
+    assert "[deg]; 2 finite numbers > 0 and <= 180" in line
+
+
+def test_keys_by_their_names(call):
+    status, out, err = call("list", "noise.sigma_deg")
+    assert (status, err) == (0, "")
+    assert [s for s in out.splitlines() if not s.startswith(" ")] == [
+        "ae_flip:",
+        "ae_normal:",
+        "vmf:",
+    ]
+    out = call("list", "until")[1]
+    assert [line.split()[0] for line in out.splitlines()] == [
+        f"until.{k}" for k in ("metric", "se", "relative_se", "min_reps", "max_reps")
+    ]
+    assert "standard error of the mean to reach" in call("list", "until.se")[1]
+    found = json.loads(call("list", "runner.n_jobs", "--json")[1])
+    assert [(p["key"], p["value"]) for p in found["parameters"]] == [("runner.n_jobs", -1)]
+    assert call("list", "local")[1].count("  runner.") == 10
+    assert call("list", "filter.ekf_vmf.engine")[1].startswith("ekf_vmf:\n")
+    status, _, err = call("list", "noise.sigma_dg")
+    assert (status, err) == (
+        2,
+        "aoabench: 'noise.sigma_dg': no such key; did you mean 'noise.sigma_deg'?\n",
+    )
+
+
+def test_every_key_of_a_run_has_its_default_and_a_meaning():
+    """The comments of the files are the text, so that a new key needs one."""
+    config = yaml.safe_load(compose.show([]))
+    shown = {p.key: p for p in about.run_keys()}
+    nodes = {key: config[key] for key in ("reps", "seed", "plugins", "store", "until", "runner")}
+    assert {key: p.value for key, p in shown.items()} == dict(flatten(nodes))
+    assert all(p.help for key, p in shown.items() if not key.startswith("runner.tls_"))
+
+
+def test_lines_wrap_in_a_terminal_alone(monkeypatch):
+    line = "  name   " + "word " * 40
+    assert wrapped(line, 9) == line
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "60")
+    lines = wrapped(line, 9).splitlines()
+    assert len(lines) > 3
+    assert max(map(len, lines)) <= 60
+    assert all(one.startswith(" " * 9 + "word") for one in lines[1:])

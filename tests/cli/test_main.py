@@ -12,8 +12,8 @@ from aoabench.cli.main import cli, dispatch, main
 from aoabench.errors import RunError, UserError
 from aoabench.store import compare as compare_module
 
-COMMANDS = ["run", "locate", "list", "compare", "plot", "collect", "replay", "reproduce", "report"]
-JSON = ["run", "list", "compare", "collect", "reproduce", "report"]
+COMMANDS = ["run", "locate", "list", "compare", "plot", "export", "collect", "replay", "reproduce", "report", "new", "test"]  # fmt: skip
+JSON = ["run", "list", "compare", "export", "collect", "reproduce", "report", "test"]
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
@@ -47,8 +47,8 @@ def test_version(flag, call):
 
 @pytest.mark.parametrize(("words", "line"), [
     (["rnu"], "unknown command 'rnu'; did you mean 'run'? see `aoabench --help`"),
-    (["xyzzy"], "unknown command 'xyzzy'; allowed: run, locate, list, compare, collect, replay, "
-     "reproduce, report; see `aoabench --help`"),
+    (["xyzzy"], "unknown command 'xyzzy'; allowed: run, locate, list, compare, plot, export, "
+     "collect, replay, reproduce, report, new, test; see `aoabench --help`"),
     (["--hlep"], "unknown option --hlep; did you mean '--help'? see `aoabench --help`"),
     (["--json", "list"], "unknown option --json before the command; allowed: after the command; see `aoabench --help`"),
     (["run", "--noise=vmf"], "run: unknown option --noise; did you mean 'noise=...'? see `aoabench run --help`"),

@@ -12,6 +12,7 @@ from aoabench.config.presets import options
 from aoabench.engine.block import run_block
 from aoabench.engine.draws import Draws
 from aoabench.engine.tiles import estimate_tile, tile_of
+from aoabench.testing.estimators import wrong_covariances, wrong_values
 from aoabench.types import Outcome
 from tests.golden.cells import with_every_noise
 
@@ -58,31 +59,20 @@ def test_every_scenario_with_every_noise(scenario, noise):
 
 @pytest.mark.parametrize(("group", "name"), ESTIMATORS)
 @pytest.mark.parametrize("noise", ["ae_flip", "vmf"])
-def test_every_estimator_keeps_the_contract(group, name, noise):
+def test_a_whole_tile_of_every_estimator(group, name, noise):
+    """On the track past the anchors' poles; test_plugins tries every rule in three replications."""
     cell = compose_cells([*setting(name, noise), f"{group}=[{name}]"])[0]
     estimator = cell.estimators[name]
     truth, e = estimate_tile(Draws(cell.scenario, cell.noise, 1), estimator, 0)
     R, T = truth.shape[:2]
     assert tile_of(estimator, cell.scenario) == R
-    assert e.position.shape == (R, T, 3)
-    assert e.outcome.shape == (R, T)
-    assert set(np.unique(e.outcome)) <= set(Outcome)
-    failed = np.isin(e.outcome, [Outcome.FAILED, Outcome.REJECTED])
-    axes = 2 if np.all(np.isnan(e.position[..., 2])) else 3
-    assert np.all(np.isfinite(e.position[~failed][:, :axes]))
-    for said in (e.score, e.anchors_used):
-        assert said is None or said.shape == (R, T)
+    assert not wrong_values(e)
     if e.covariance is not None:
-        P = e.covariance[~failed][:, :axes, :axes]
-        known = np.isfinite(P).all(axis=(-1, -2))  # NaN: no deviation is stated or can be estimated
-        assert np.isnan(P[~known]).all()
-        assert known[e.outcome[~failed] == Outcome.OK].mean() > 0.95
-        P = P[known]
-        assert np.allclose(P, np.swapaxes(P, -1, -2))
-        spread = np.linalg.eigvalsh(P)
-        assert np.all(
-            (spread[..., 0] > 0) | (spread[..., -1] == 0)
-        )  # 0: one particle has all the weight
+        assert not wrong_covariances(e)
+        known = np.isfinite(
+            e.covariance[..., 0, 0]
+        )  # NaN: no deviation is stated or can be estimated
+        assert known[e.outcome == Outcome.OK].mean() > 0.95
 
 
 @pytest.mark.parametrize(("group", "name"), ESTIMATORS)

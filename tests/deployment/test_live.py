@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from aoabench.deployment import located, numbering, stream, windows
+from aoabench.deployment import located, numbering, recursion, stream, windows
 from aoabench.deployment.request import Request
 from aoabench.deployment.streaming import Run
 from aoabench.errors import UserError
@@ -285,3 +285,43 @@ def test_rows_may_be_cut_anywhere(room, log, rng, end):
 def test_a_line_without_end_is_refused(room):
     with pytest.raises(UserError, match="longer than"):
         list(run_of(room)[0].table(b"x" * 2**21, 1.0))
+
+
+@pytest.mark.parametrize("name", ["ekf_vmf", "ukf_ae_adaptive_augmented", "ekf_toa_aoa"])
+def test_tags_of_any_number_of_fixes_in_a_piece(room, log, rng, name, monkeypatch):
+    """Tags that go on are filtered together, also where one has more fixes than another."""
+    tags = [f"T{i}" for i in range(5)]
+    kept = rng.uniform(size=(24, 5)) < [0.3, 0.4, 0.6, 0.8, 1.0]
+    rows = []
+    for row in noisy_rows(rng, 24, tags, every=0.4):
+        time, tag, _ = row.split(",", 2)
+        if kept[int(float(time) / 0.4), int(tag[1:])]:
+            rows.append(row + ",7.5,0.2" * (name == "ekf_toa_aoa"))
+    head = LONG + ",range_m,range_sigma_m" * (name == "ekf_toa_aoa")
+    settings = ("scenario.window_s=0.1", "scenario.combine=mean", MOTION)
+    path = log(rows, head)
+    request = Request(str(path), str(room / "anchors.csv"), filter=name, settings=settings)
+    file = located.locate(request.asked()).frame
+    sizes, first = [], recursion.resumed
+    monkeypatch.setattr(
+        recursion, "resumed", lambda *given: sizes.append(len(given[4])) or first(*given)
+    )
+    run, _ = run_of(room, *settings, filter=name)
+    found = streamed(run, path.read_text(), np.arange(60, len(rows), 61), step_s=0.02)
+    assert same(found.assign(track=0), file.assign(track=0))
+    assert max(sizes) >= 4
+
+
+def test_a_filter_follows_receivers_that_move(room, log):
+    """The anchors of earlier pieces are not kept; fixes are judged by those of this piece."""
+    rows = []
+    for row in rows_of(np.tile(POINTS, (3, 1)), "T1", times=np.arange(12.0).tolist()):
+        pose = ANCHORS[row.split(",")[2]]
+        rows.append(f"{row},{pose[0]},{pose[1]},{pose[2]},{pose[3]}")
+    head = LONG + ",anchor_x_m,anchor_y_m,anchor_z_m,anchor_facing_deg"
+    settings = ("scenario.window_s=0.1", MOTION, "filter.ekf_vmf.extent_factor=1")
+    path = log(rows, head)
+    file = located.locate(Request(str(path), None, filter="ekf_vmf", settings=settings).asked())
+    run = Run(Request("-", None, filter="ekf_vmf", settings=settings), None, print)
+    found = streamed(run, path.read_text(), np.arange(9, len(rows), 5), step_s=0.02)
+    assert same(found, file.frame)

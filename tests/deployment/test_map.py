@@ -77,8 +77,8 @@ def test_rejected_and_diverged_fixes_are_crosses_and_far_ones_are_counted(drawn)
 
 
 def test_each_tag_has_its_marker_and_each_track_its_line(drawn):
-    axis, _ = drawn(lambda frame: frame.assign(tag=["a", "b", "a", "b"], track=[0, 1, 0, 1]))
-    assert [p.get_label() for p in of(axis, PathCollection)][:2] == ["tag a", "tag b"]
+    axis, _ = drawn(lambda frame: frame.assign(tag=["T10", "T2", "T10", "T2"], track=[0, 1, 0, 1]))
+    assert [p.get_label() for p in of(axis, PathCollection)][:2] == ["tag T2", "tag T10"]
     tracks = [line for line in axis.lines if line.get_linestyle() == "-"]
     assert [len(line.get_xdata()) for line in tracks] == [2, 2]
 

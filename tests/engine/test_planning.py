@@ -6,7 +6,7 @@ import aoabench
 from aoabench.cell import RunnerOptions
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner, workers
-from aoabench.engine.planning import spread
+from aoabench.engine.planning import spread, tasks_of
 from aoabench.engine.tasks import Task
 
 
@@ -31,6 +31,16 @@ def test_tasks_are_divided_until_every_worker_has_one(given, count, expected):
     assert ["".join(one.keys) for one in found] == expected
     assert all(one.keys == {n: n.upper() for n in one.keys} for one in found)
     assert {(one.start, one.stop) for one in found} <= {(0, 4)}
+
+
+@pytest.mark.parametrize(("cells", "count"), [(1, 32), (2, 16), (10, 8), (1000, 8)])
+def test_cells_that_are_planned_together_have_fewer_and_larger_parts(cells, count):
+    words = ["noise=vmf", "filter=[ekf_vmf]", "reps=4096", "runner.n_jobs=2"]
+    (cell,) = compose_cells(words)
+    tasks = list(tasks_of(cell, {"ekf_vmf": "key"}, None, {"ekf_vmf": []}, 4096, cells))
+    assert [(t.start, t.stop) for t in tasks] == [
+        (k * 4096 // count, (k + 1) * 4096 // count) for k in range(count)
+    ]
 
 
 @pytest.mark.parametrize("backend", ["loky", "threading"])

@@ -65,14 +65,23 @@ def test_the_band_of_single_values_is_wilson_s():
         assert (low[i], high[i]) == pytest.approx((wilson.low, wilson.high), rel=0.06)
 
 
-def test_the_band_never_falls_and_takes_fixes_of_a_replication_as_dependent():
-    rng = np.random.default_rng(3)
-    errors = rng.exponential(size=(20, 1)) * np.ones((20, 50))  # all fixes of one are equal
-    found = FixErrors(errors, np.ones(errors.shape, dtype=bool))
+def test_the_band_takes_fixes_of_a_replication_as_dependent():
+    errors = np.random.default_rng(3).exponential(size=(20, 1)) * np.ones((20, 50))
     at = np.sort(errors[:, 0])
-    low, high = found.share_band(at)
-    assert (np.diff(low) >= 0).all()
-    assert (np.diff(high) >= 0).all()
-    for i in (5, 10, 15):  # as for 20 single values
+    low, high = FixErrors(errors, np.ones(errors.shape, dtype=bool)).share_band(at)
+    for i in (5, 10, 15):  # as for 20 single values, as all fixes of a replication are equal
         one = share_interval(errors[:, :1] <= at[i], np.ones((20, 1)))
         assert (low[i], high[i]) == pytest.approx(one, rel=1e-9)
+
+
+def test_the_band_never_falls():
+    """A share of 1 has an interval of its own (see `share_interval`), which is wider than that of
+    shares just below.
+    """
+    errors = np.random.default_rng(3).exponential(size=(20, 50))
+    at = np.sort(errors.ravel())[[0, 300, 990, 999]]
+    low, high = FixErrors(errors, np.ones(errors.shape, dtype=bool)).share_band(at)
+    assert (np.diff(low) >= 0).all()
+    assert (np.diff(high) >= 0).all()
+    alone = share_interval(errors <= at[-1], np.ones(errors.shape))
+    assert alone[0] < low[-2] == low[-1]

@@ -1,12 +1,14 @@
 """Parts: what their checksum files vouch for, and what is missing of a range."""
 
 import json
+import os
 from itertools import pairwise
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aoabench.store import parts as parts_module
 from aoabench.store.documents import read_document, write_document
 from aoabench.store.files import file_checksum
 from aoabench.store.parts import examined, has_part, intact_parts, missing_ranges
@@ -160,3 +162,46 @@ def test_no_byte_of_a_checksum_file_is_unguarded(stored):
     for i in range(len(data)):
         file.write_bytes(data[:i] + bytes([data[i] ^ 1 << i % 8]) + data[i + 1 :])
         assert intact_parts(out, "key") in ([], [part])
+
+
+@pytest.fixture
+def hashed(monkeypatch):
+    """The names of the files whose content was compared with a checksum."""
+    names, checksum = [], parts_module.file_checksum
+    monkeypatch.setattr(
+        parts_module, "file_checksum", lambda path: names.append(path.name) or checksum(path)
+    )
+    return names
+
+
+def test_a_part_is_verified_again_only_if_a_file_of_it_has_changed(tmp_path, monkeypatch, hashed):
+    monkeypatch.setattr(parts_module, "_SETTLED_NS", -(10**18))
+    made.part(tmp_path, "key", 0, 4, fixes=2)
+    (part,) = intact_parts(tmp_path, "key")
+    assert len(hashed) == 2
+    assert intact_parts(tmp_path, "key", "fixes") == [part]
+    assert examined(tmp_path, "key") == ([part], [])
+    assert has_part(tmp_path, "key", 0, 4)
+    assert len(hashed) == 2
+    file, data = part.files["fixes"], part.files["fixes"].read_bytes()
+    before = file.stat()
+    file.write_bytes(data[:100] + bytes([data[100] ^ 1]) + data[101:])
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert (file.stat().st_size, file.stat().st_mtime_ns) == (before.st_size, before.st_mtime_ns)
+    assert not intact_parts(tmp_path, "key")
+    file.write_bytes(data)
+    assert intact_parts(tmp_path, "key") == [part]
+    part.files["rows"].unlink()
+    assert not intact_parts(tmp_path, "key")
+    made.part(tmp_path, "key", 0, 4)  # computed again, under other names
+    (again,) = intact_parts(tmp_path, "key")
+    assert again != part
+    part.files["fixes"].unlink()
+    assert intact_parts(tmp_path, "key") == [again]
+
+
+def test_a_part_that_was_just_written_is_verified_each_time(tmp_path, hashed):
+    """A change within one tick of the file system's clock shows in no time."""
+    made.part(tmp_path, "key", 0, 4)
+    assert intact_parts(tmp_path, "key") == intact_parts(tmp_path, "key") != []
+    assert len(hashed) == 2

@@ -9,6 +9,7 @@ import pytest
 from aoabench.errors import RunError, UserError
 from aoabench.store import fixes as fixes_module
 from aoabench.store import recorded, tables
+from aoabench.store.folder import values
 from tests.store import made
 
 
@@ -65,3 +66,15 @@ def test_a_part_that_was_lost_is_reported_before_anything_is_read(folder):
     assert len(recorded.fixes(folder, "a", "ml", 2).outcome) == 2
     with pytest.raises(RunError, match="replications from 2 on of part aml are missing"):
         recorded.replications(folder, {"a": {"ml": 4}})
+
+
+def test_values_that_are_known_are_not_read_again(tmp_path):
+    for start, stop in ((0, 2), (2, 4), (4, 8)):
+        made.part(tmp_path, "key", start, stop)
+    whole = values(tmp_path, "key", "rmse_3d_m", 8)
+    assert len(whole) == 8
+    assert np.array_equal(values(tmp_path, "key", "rmse_3d_m", 5, whole[:3]), whole[:5])
+    (tmp_path / "parts" / "key" / "000000000-000000002.json").unlink()
+    assert np.array_equal(values(tmp_path, "key", "rmse_3d_m", 8, whole[:4]), whole)
+    with pytest.raises(RunError, match="replications from 1 on"):
+        values(tmp_path, "key", "rmse_3d_m", 8, whole[:1])

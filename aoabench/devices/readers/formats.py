@@ -61,7 +61,7 @@ def _opened(key: str, path: Any, files: Sequence[str], given: Reading) -> Conten
 def _one(key: str, path: str, given: Reading, folder: str) -> Content:
     """The content of one file."""
     try:
-        text = text_of(path)
+        text = text_of(path, given)
         if text[:4] == b"PAR1":
             return parquet(text, key, path, folder)
         if text[:4] == b"PK\x03\x04":
@@ -70,7 +70,17 @@ def _one(key: str, path: str, given: Reading, folder: str) -> Content:
     except BadValue:
         raise
     except (OSError, ValueError, csv.Error, MemoryError) as error:
-        raise BadValue(key, path, f"a readable {KINDS}; {reason_of(error)}") from None
+        raise BadValue(key, path, f"a readable {KINDS}; {why(error, key, given)}") from None
+
+
+def why(error: Exception, key: str, given: Reading) -> str:
+    """Why a file cannot be read; a log's encoding may be declared."""
+    declared = given.encoding
+    if isinstance(error, UnicodeDecodeError) and declared is not None:
+        return f"byte {error.start} is not {declared}, which scenario.encoding declares"
+    hint = ", or declare its encoding, such as scenario.encoding=cp1252 for Western Windows"
+    is_log = key == "path" and isinstance(error, UnicodeDecodeError)
+    return reason_of(error) + hint * is_log
 
 
 def text_content(text: bytes, key: str, path: str, given: Reading) -> Content:

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from aoabench.devices.readers.delimited import Delimited, following
 from aoabench.devices.readers.dialects import shows_marks
-from aoabench.devices.readers.foreign import reason_of
-from aoabench.devices.readers.formats import DEVICES, looks_like, text_content
+from aoabench.devices.readers.formats import DEVICES, looks_like, text_content, why
 from aoabench.devices.readers.reading import AUTO, Content, Reading, Rows
 from aoabench.devices.readers.sources import KINDS
 from aoabench.devices.readers.stamps import DAY_S
@@ -69,13 +68,12 @@ class Live:
             return None
         line, self._line = self._line, self._line + whole.count(b"\n")
         try:
-            found = self._parsed(whole, line)
+            found = self._parsed(self._given.in_utf8(whole), line)
         except BadValue:
             raise
         except (ValueError, csv.Error) as error:
-            raise BadValue(
-                self._key, self._path, f"a readable {KINDS}; {reason_of(error)}"
-            ) from None
+            reason = why(error, self._key, self._given)
+            raise BadValue(self._key, self._path, f"a readable {KINDS}; {reason}") from None
         return widened(found, self._given.patterns)
 
     def _parsed(self, whole: bytes, line: int) -> Content:

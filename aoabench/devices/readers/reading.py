@@ -25,7 +25,8 @@ class Reading:
     format: one of `formats.FORMATS`. header: the names of the columns of a table without a header.
     separator: the mark between cells, a blank for any white space. decimal: the decimal mark, `.`
     or `,`. patterns: the names of columns that contain {anchor}, which a wide table has once per
-    anchor.
+    anchor. encoding: Python's name of the encoding of a text, None for UTF-8; a mark of the byte
+    order at its beginning wins.
 
     Raises BadValue with the key of the same name in a scenario.
     """
@@ -35,6 +36,7 @@ class Reading:
     separator: str | None = None
     decimal: str | None = None
     patterns: tuple[str, ...] = ()
+    encoding: str | None = None
 
     def __post_init__(self) -> None:
         mark = SEPARATORS.get(self.separator or "", self.separator)
@@ -43,10 +45,17 @@ class Reading:
             raise BadValue("separator", mark, "one character between cells, tab, space, or null")
         if self.decimal not in (None, ".", ","):
             raise BadValue("decimal", self.decimal, "'.', ',' or null")
+        if self.encoding is not None and not _keeps_ascii(self.encoding):
+            allowed = "an encoding that Python knows and that extends ASCII, such as cp1252 or "
+            raise BadValue("encoding", self.encoding, f"{allowed}latin-1, or null for UTF-8")
         self._check_header()
         for name in self.patterns:
             if name.count(ANCHOR) != 1:
                 raise BadValue("columns", name, f"{ANCHOR} once in the name of a column")
+
+    def in_utf8(self, text: bytes) -> bytes:
+        """A text of the declared encoding in UTF-8; raises UnicodeDecodeError for other bytes."""
+        return text if self.encoding is None else text.decode(self.encoding).encode()
 
     def _check_header(self) -> None:
         if self.header is None:
@@ -59,6 +68,15 @@ class Reading:
             more = f"; {listed(twice)} occurs more than once" if twice else ""
             raise BadValue("header", list(names), f"the name of each column, each once{more}")
         object.__setattr__(self, "header", names)
+
+
+def _keeps_ascii(encoding: object) -> bool:
+    """Whether an encoding is known, and ASCII is the same in it."""
+    ascii = "".join(map(chr, range(32, 127)))
+    try:
+        return ascii.encode(str(encoding)) == ascii.encode()
+    except (LookupError, ValueError):
+        return False
 
 
 AUTO = Reading()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from aoabench import loaded
+from aoabench.devices.readers.reading import AUTO, Reading
 from aoabench.errors import BadValue, listed
 
 KINDS = (
@@ -51,10 +52,10 @@ def expanded(key: str, path: Any) -> list[str]:
     return found
 
 
-def natural(name: str) -> list[tuple[int, int, str]]:
-    """A key for sorting: log_2 goes before log_10."""
-    words = re.split(r"(\d+)", name)
-    return [(0, int(w), "") if w.isdecimal() and w.isascii() else (1, 0, w) for w in words]
+def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
+    """A key that sorts texts with their digits as numbers: T2 before T10."""
+    parts = re.split(r"(\d+)", text.lower())
+    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts if p], text
 
 
 def content_of(path: object) -> bytes:
@@ -62,9 +63,9 @@ def content_of(path: object) -> bytes:
     return loaded.read(Path(str(path)))[0]
 
 
-def text_of(path: object) -> bytes:
-    """The content of a file: unpacked if it is packed with gzip; a text in UTF-8 without a mark of
-    the byte order.
+def text_of(path: object, given: Reading = AUTO) -> bytes:
+    """The content of a file: unpacked if it is packed with gzip; a text, whose encoding may be
+    `given`, in UTF-8 without a mark of the byte order.
 
     Raises OSError or ValueError for bytes that are neither a text nor a known binary format.
     """
@@ -78,10 +79,11 @@ def text_of(path: object) -> bytes:
             raise ValueError(f"the gzip file is torn: {error}") from None
     if content[:2] in _UTF_16:
         return content.decode("utf-16").encode()
+    marked = content.startswith(codecs.BOM_UTF8)
     content = content.removeprefix(codecs.BOM_UTF8)
     if content[:4] not in _BINARY and (place := content.find(b"\0")) >= 0:
         raise ValueError(f"byte {place} is 0, as in binary files; this is no text")
-    return content
+    return content if marked or content[:4] in _BINARY else given.in_utf8(content)
 
 
 def stem(path: str) -> str:

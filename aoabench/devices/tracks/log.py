@@ -59,7 +59,7 @@ def known_anchors(
     anchor if `strict`, and if no row is left.
     """
     if "anchor" not in table.names:
-        return table, np.zeros(len(table.frame), dtype=int), []
+        return table, np.zeros(table.count, dtype=int), []
     anchor = table.indices("anchor", ids, strict=strict)
     unknown = int((anchor < 0).sum())
     if not unknown:

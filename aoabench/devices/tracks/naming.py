@@ -12,6 +12,8 @@ from aoabench.devices.tracks.moments import SECONDS
 from aoabench.devices.tracks.poses import DEFAULTS
 from aoabench.errors import BadValue, did_you_mean, listed
 
+DEFAULT_TRUTH = {"truth_lat": "truth_lat_deg", "truth_lon": "truth_lon_deg"}
+DEFAULT_TRUTH |= {"truth_height": "truth_height_m"}
 EXPECTED = ("heading_deg", "elevation_deg", "elevation_rad")  # left out where conventions say so
 
 
@@ -21,6 +23,7 @@ def default_names(given: Conventions, time_unit: str) -> dict[str, list[str]]:
     found = {name: [f"{name}_m"] for name in ("x", "y", "z", "range", "range_sigma")}
     found |= {name: [name] for name in ("fix", "tag", "sequence")}
     found |= {name: [default] for name, default in DEFAULTS.items()}
+    found |= {name: [default] for name, default in DEFAULT_TRUTH.items()}
     found |= {"azimuth": [f"azimuth_{a}"], "azimuth_sigma": [f"azimuth_sigma_{a}"]}
     found |= {"elevation": [f"elevation_{e}"], "elevation_sigma": [f"elevation_sigma_{e}"]}
     for name in ("time", "anchor_time"):

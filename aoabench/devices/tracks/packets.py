@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from aoabench.devices.anchors import AnchorsFile
+from aoabench.devices.geodesy import Origin, local_positions
+from aoabench.devices.readers.sources import natural
 from aoabench.devices.readers.table import Table
 from aoabench.devices.tracks import log
 from aoabench.devices.tracks.moments import slow_times, times
 from aoabench.devices.tracks.poses import read_poses
 from aoabench.errors import BadValue, did_you_mean, listed
 from aoabench.maths.geometry import Array
+
+TRUE_METRES, TRUE_DEGREES = ("x", "y", "z"), ("truth_lat", "truth_lon", "truth_height")
 
 
 @dataclass(frozen=True)
@@ -121,7 +124,7 @@ def read_packets(table: Table, known: AnchorsFile, given: Given) -> tuple[Packet
         fixes=tuple(fixes),
         time=time,
         sequence=_sequence(table),
-        truth=_truth(table),
+        truth=_truth(table, known.origin),
         table=table,
         own_clocks=own,
     )
@@ -168,12 +171,6 @@ def names_of(table: Table, column: str) -> tuple[np.ndarray, list[str]]:
     return rank[code], [names[i] for i in order]
 
 
-def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
-    """A key that sorts texts with their digits as numbers: T2 before T10."""
-    parts = re.split(r"(\d+)", text.lower())
-    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts if p], text
-
-
 def _sequence(table: Table) -> np.ndarray | None:
     """The sequence numbers (N,), or None without such a column."""
     if "sequence" not in table.names:
@@ -184,9 +181,29 @@ def _sequence(table: Table) -> np.ndarray | None:
     return value.astype(np.int64)
 
 
-def _truth(table: Table) -> Array:
+def _truth(table: Table, origin: Origin | None) -> Array:
     """True positions (N, 3) m, NaN where a row has none."""
-    nothing = np.full(table.count, np.nan)
-    found = np.stack([table.numbers(a) if a in table.names else nothing for a in "xyz"], axis=-1)
+    nothing, geodetic = np.full(table.count, np.nan), TRUE_DEGREES[0] in table.names
+    axes = TRUE_DEGREES if geodetic else TRUE_METRES
+    found = np.stack([table.numbers(a) if a in table.names else nothing for a in axes], axis=-1)
+    if geodetic:
+        found = local_positions(table.key, str(table.path), found, origin)
     found[np.isnan(found[:, :2]).any(axis=1)] = np.nan
     return found
+
+
+def check_truth(chosen: Mapping[str, str], path: object) -> list[str]:
+    """The columns of true positions among those `chosen`, which maps aoabench's names to the log's;
+    BadValue for a latitude or longitude alone, and for positions both in degrees and in m.
+    """
+    degrees, metres = ([a for a in axes if a in chosen] for axes in (TRUE_DEGREES, TRUE_METRES))
+    for name in TRUE_DEGREES[:2] if degrees else ():
+        if name not in chosen:
+            allowed = f"a column, by default called {name}_deg, because {path} has "
+            raise BadValue(f"columns.{name}", None, f"{allowed}{chosen[degrees[0]]}")
+    if degrees and metres:
+        both = f"{chosen[metres[0]]} and {chosen[degrees[0]]}"
+        raise BadValue(
+            f"columns.{degrees[0]}", chosen[degrees[0]], f"one of {both}; {path} has both"
+        )
+    return [chosen[name] for name in (*metres, *degrees)]

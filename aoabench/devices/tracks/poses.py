@@ -147,7 +147,7 @@ def _facings(known: AnchorsFile) -> Array:
 
 def _places(table: Table, origin: Origin | None) -> Array | None:
     """Local positions (N, 3) m, NaN where a cell is empty; None for a log without positions."""
-    height = np.full(len(table.frame), np.nan)
+    height = np.full(table.count, np.nan)
     if "anchor_z" in table.names:
         height = table.numbers("anchor_z")
     if "anchor_x" in table.names:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aoabench.devices.anchors import AnchorsFile
-from aoabench.devices.geodesy import Origin, check_degrees, degree_columns
+from aoabench.devices.geodesy import degree_columns, local_positions
 from aoabench.devices.readers.columns import header, shown_columns
 from aoabench.devices.readers.table import Table
 from aoabench.devices.tracks.moments import SECONDS, times
@@ -168,7 +168,7 @@ def read_truth(
     if degrees is None:
         anchors.check_local(f"the true positions of {path} are local")
     else:
-        position = _local(key, path, position, anchors.origin)
+        position = local_positions(key, path, position, anchors.origin)
     known = np.isfinite(position[:, :2]).all(axis=1)
     table, position = table.where(known), position[known]
     if not len(position):
@@ -200,22 +200,6 @@ def _moments(table: Table, column: str, name: str, time_unit: str) -> Array:
     """A column of times (M,) s in the unit that its name states, else in `time_unit`."""
     unit = _split(name, tuple(SECONDS))[1] or time_unit
     return times(table, column, unit, complete=column != "end")
-
-
-def _local(key: str, path: str, degrees: Array, origin: Origin | None) -> Array:
-    """Local positions (M, 3) m from latitudes, longitudes deg and heights m; z is unknown where the
-    height is.
-    """
-    if origin is None:
-        allowed = f"latitude and longitude of the local (0, 0), because {path} is in degrees"
-        raise BadValue("origin_deg", None, allowed)
-    found = np.full(degrees.shape, np.nan)
-    some = np.isfinite(degrees[:, :2]).all(axis=1)
-    lat, lon, height = degrees[some].T
-    check_degrees(key, path, lat, lon, origin)
-    found[some] = origin.local(lat, lon, np.nan_to_num(height))
-    found[np.isnan(degrees[:, 2]), 2] = np.nan
-    return found
 
 
 def _recognised(

@@ -41,7 +41,7 @@ def time(courses: pd.DataFrame, words: Words) -> Figure:
                 )
     for axis in made.axes.values():
         axis.margins(x=0.01)
-        look.scale(axis, "y", log)
+        look.scale(axis, "y", log, courses[["median", "low", "high"]])
     if not log:
         next(iter(made.axes.values())).set_ylim(bottom=0)
     look.legend(made, words.by)
@@ -62,8 +62,8 @@ def pairs(points: pd.DataFrame, rows: pd.DataFrame, words: Words) -> Figure:
         axis.scatter(
             mine["x"], mine["y"], s=8, alpha=0.5, linewidths=0, color="C0", rasterized=many
         )
-        look.scale(axis, "x", log)
-        look.scale(axis, "y", log)
+        look.scale(axis, "x", log, ends)
+        look.scale(axis, "y", log, ends)
         axis.set(xlim=ends, ylim=ends, box_aspect=1)
         axis.plot(ends, ends, color=plots.GREY, linewidth=0.8, zorder=0)
         axis.annotate(words_of(row), (0.03, 0.97), xycoords="axes fraction", va="top", fontsize=6)

@@ -36,7 +36,7 @@ def cdf(points: pd.DataFrame, quantiles: pd.DataFrame, words: Words) -> Figure:
             mine["x"], mine["low"], mine["high"], color=style["color"], alpha=0.15, linewidth=0
         )
     for axis in made.axes.values():
-        look.scale(axis, "x", log)
+        look.scale(axis, "x", log, ends)
         axis.set(xlim=ends, ylim=(0, 1.005))
     look.legend(made, words.by)
     return made.figure
@@ -120,7 +120,7 @@ def _finish(
     made: Sheet,
 ) -> None:
     """Set the axes of a panel; mark values beyond them, and rows without any value."""
-    look.scale(axis, "x", log)
+    look.scale(axis, "x", log, ends)
     axis.set_xlim(ends)
     axis.set_yticks(range(len(made.groups)), made.groups)
     for row, place in zip(rows.to_dict("records"), y):

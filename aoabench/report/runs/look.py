@@ -142,15 +142,18 @@ def legend(made: Sheet, by: str) -> None:
     )
 
 
-def scale(axes: Any, which: str, log: bool) -> None:
-    """Make the x or y axis linear, or logarithmic with plain numbers: 0.5, 1, 2, 5, 10."""
+def scale(axes: Any, which: str, log: bool, values: Any) -> None:
+    """Make the x or y axis linear, or logarithmic with plain numbers: 0.5, 1, 2, 5, 10, or the
+    powers of ten alone where the positive `values` span more than two decades.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set(**{f"{which}scale": "log" if log else "linear"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     if log:
-        low, high = axis.get_data_interval()
-        short = low > 0 and high < 300 * low
+        x = np.asarray(values, dtype=float)
+        x = x[np.isfinite(x) & (x > 0)]
+        short = len(x) > 0 and x.max() < 100 * x.min()
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_TICKS = 12
+_ROOM = 35  # letters of all texts below an axis that stand beside each other
 
 
 def curve(means: pd.DataFrame, over: str, words: Words) -> Figure:
@@ -42,10 +43,12 @@ def curve(means: pd.DataFrame, over: str, words: Words) -> Figure:
         axis.plot(x.to_numpy()[order], mine["value"].to_numpy()[order], label=name, **style)
         _intervals(axis, x.to_numpy(), mine, style["color"])
     for axis in made.axes.values():
-        look.scale(axis, "x", log_x)
-        look.scale(axis, "y", log_y)
+        look.scale(axis, "x", log_x, at)
+        look.scale(axis, "y", log_y, means[["value", "low", "high"]])
         if not numeric:
-            axis.set_xticks(range(len(names)), [value_text(v) for v in names])
+            texts = [value_text(v) for v in names]
+            turned = {"rotation": 30, "ha": "right"} if sum(map(len, texts)) > _ROOM else {}
+            axis.set_xticks(range(len(names)), texts, **turned)
             axis.set_xlim(-0.5, len(names) - 0.5)
         elif len(names) <= _MOST_TICKS:
             axis.set_xticks([v for v in names if v == v])
@@ -85,7 +88,7 @@ def heatmap(means: pd.DataFrame, over: tuple[str, str], words: Words) -> Figure:
 
     values = [ordered(means[name]) for name in over]
     rank = [{value_text(v): i for i, v in enumerate(column)} for column in values]
-    height = max(1.2, 0.28 * len(values[1]) + 0.5)
+    height = max(1.6, 0.28 * len(values[1]) + 0.5)
     made = look.sheet(means, words, height=height, groups=False)
     known = means["value"].to_numpy(dtype=float)
     known = known[np.isfinite(known)]

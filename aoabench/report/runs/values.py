@@ -170,7 +170,7 @@ def means(source: Source, choice: Choice) -> pd.DataFrame:
     found = estimates(source, choice.metric).set_index(["cell", "estimator"])
     if not np.isfinite(found["value"]).any():
         raise no_values(source, choice.metric)
-    over = source.pairs().set_index(["cell", "estimator"])[list(choice.over)]
+    over = source.pairs().set_index(["cell", "estimator"], drop=False)[list(choice.over)]
     each = shown(source, choice)
     keys = pd.MultiIndex.from_tuples([(one.cell, one.estimator) for one in each])
     places = pd.DataFrame([_of(one) for one in each], index=keys)

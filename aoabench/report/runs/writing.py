@@ -55,7 +55,7 @@ def page(drawing: Drawing, command: str) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    shown = _shown(drawing.table)
+    shown = _shown(drawing.table).rename(columns={"group": drawing.choice.by})
     return environment.get_template("page.html.j2").render(
         title=f"{drawing.choice.kind}: {drawing.choice.metric}",
         svg=svg[svg.index("<svg") :],

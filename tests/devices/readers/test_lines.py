@@ -183,6 +183,19 @@ def test_pieces_make_the_whole(text, size, here):
     pd.testing.assert_frame_equal(together, expected.reset_index(drop=True), check_dtype=False)
 
 
+@pytest.mark.parametrize("size", [1, 7])
+def test_a_stream_in_a_declared_encoding(size):
+    content = "Zeit;Empf\u00e4nger;Winkel (\u00b0)\n1;T\u00fcr;1,5\n2;Tor;2,5\n".encode("cp1252")
+    live, found = Live("path", "-", Reading(encoding="cp1252")), []
+    for i in range(0, len(content), size):
+        if (rows := live.feed(content[i : i + size])) is not None:
+            names = {"anchor": "Empf\u00e4nger", "azimuth": "Winkel (\u00b0)"}
+            found += rows.cells(names).to_numpy().tolist()
+    assert found == [["T\u00fcr", 1.5], ["Tor", 2.5]]
+    with pytest.raises(BadValue, match=r"scenario\.encoding=cp1252"):
+        Live("path", "-").feed(content)
+
+
 def test_a_stream_that_is_no_log():
     live = Live("path", "-")
     assert live.feed(b"x" * (1 << 24)) is None

@@ -57,3 +57,21 @@ def test_a_mistake_in_plain_rows_is_told_with_its_line(scenario):
         scenario.packets_of(piece([ROWS[0], "0.5,T1,A1,400,1,1"]), "-", quick=True)
     with pytest.raises(Exception, match="line 3 has anchor='A9'"):
         scenario.packets_of(piece(["0.5,T1,A9,40,1,1"]), "-", quick=True)
+
+
+def test_receivers_that_move(tmp_path):
+    """The reader of plain rows has no frame of pandas, and others ask it for the number of rows."""
+    head = "time_s,anchor_x_m,anchor_y_m,anchor_facing_deg,azimuth_deg"
+    rows = [",".join([f"{k}.5", *(str(k + n) for n in range(head.count(",")))]) for k in range(4)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([head, *rows]) + "\n")
+    scenario = Recorded("recorded", str(path), None)
+    first = delimited(f"{head}\n{rows[0]}\n".encode(), "path", "-", AUTO)
+    content = following(first, "".join(f"{row}\n" for row in rows).encode(), 3)
+    quick, _ = scenario.packets_of(content, "-", quick=True)
+    slow, _ = scenario.packets_of(content, "-")
+    assert type(quick.table) is not type(slow.table)
+    assert np.array_equal(quick.anchor, slow.anchor)
+    assert quick.values.keys() == slow.values.keys()
+    for name, value in slow.values.items():
+        assert np.allclose(quick.values[name], value, rtol=0, atol=1e-14, equal_nan=True)

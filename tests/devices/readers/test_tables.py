@@ -61,6 +61,29 @@ def test_marks_and_encodings_are_recognised(mark, decimal, encoding, name, rows,
     check(read(name, separator=mark, decimal=decimal, format="table"), rows)
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "ISO-8859-15"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_declared_encoding(encoding, packed, here):
+    text = "Zeit in s;Empf\u00e4nger;Winkel (\u00b0)\n0,5;T\u00fcr;1,5\n".encode(encoding)
+    Path("log.csv").write_bytes(gzip.compress(text) if packed else text)
+    found = opened("path", "log.csv", Reading(encoding=encoding))
+    assert found.columns == ["Zeit in s", "Empf\u00e4nger", "Winkel (\u00b0)"]
+    cells = found.cells({"anchor": "Empf\u00e4nger", "azimuth": "Winkel (\u00b0)"})
+    assert cells.iloc[0].tolist() == ["T\u00fcr", 1.5]
+    with pytest.raises(BadValue, match=r"not UTF-8: save .* or declare .*scenario.encoding=cp1252"):
+        opened("path", "log.csv")
+    with pytest.raises(BadValue, match=r"not UTF-8: save the file in UTF-8$"):
+        opened("anchors", "log.csv")
+    with pytest.raises(BadValue, match=r"byte \d+ is not ascii, which scenario.encoding declares"):
+        opened("path", "log.csv", Reading(encoding="ascii"))
+
+
+def test_a_mark_of_the_byte_order_wins_over_the_declared_encoding(here):
+    Path("log.csv").write_text("Empf\u00e4nger,b\n1,2\n", encoding="utf-8-sig")
+    found = opened("path", "log.csv", Reading(encoding="cp1252"))
+    assert found.columns == ["Empf\u00e4nger", "b"]
+
+
 def test_blanks_separate_cells(rows, here):
     rows = rows.assign(anchor=rows["anchor"].str.replace(" ", "_")).fillna(1.5).round(4)
     Path("log.txt").write_text(rows.to_string(index=False))
@@ -348,7 +371,7 @@ def test_of_a_file_that_grows_whole_lines_are_read(cut, here):
 @pytest.mark.parametrize(("given", "words"), [
     ({"format": "csv"}, "format='csv'.*auto, table, ublox, silabs"), ({"separator": "ab"}, "separator='ab'"),
     ({"separator": "1"}, "one character"), ({"decimal": ";"}, "decimal=';'"),
-    ({"header": "fix"}, "header='fix'.*a list"), ({"header": ("a", "a")}, "a occurs more than once"), ({"header": ()}, "name of each column"),
+    ({"encoding": "windows"}, "encoding='windows'.*cp1252"), ({"encoding": "utf-16"}, "extends ASCII"), ({"encoding": "rot13"}, "extends ASCII"), ({"header": "fix"}, "header='fix'.*a list"), ({"header": ("a", "a")}, "a occurs more than once"), ({"header": ()}, "name of each column"),
     ({"patterns": ("a{anchor}{anchor}",)}, "once"),
 ])  # fmt: skip
 def test_options_that_are_wrong(given, words):

@@ -82,6 +82,33 @@ def test_truth_in_degrees_needs_an_origin():
     assert np.isnan(found[:, 2]).all()
 
 
+def test_truth_in_degrees_in_the_log_is_that_of_a_file():
+    log = "time_s,anchor,azimuth_deg,truth_lat_deg,truth_lon_deg,truth_height_m\n"
+    log += "0,a1,1,60.0001,24.0002,1.5\n1,a1,1,60.0003,24.0001,\n2,a1,1,,,\n"
+    Path("log.csv").write_text(log)
+    origin = {"origin_deg": [60.0, 24.0]}
+    found = Recorded("recorded", "log.csv", "anchors.csv", **origin).truth(None)
+    text = "time_s,latitude,longitude,height_m\n0,60.0001,24.0002,1.5\n1,60.0003,24.0001,\n"
+    wanted = positions(text, (0.0, 1.0, 2.0), **origin)
+    np.testing.assert_array_equal(found, wanted)
+    assert np.isfinite(found[0]).all()
+    Path("log.csv").write_text(log)
+    with pytest.raises(BadValue, match=r"origin_deg=None .*log\.csv is in degrees"):
+        Recorded("recorded", "log.csv", "anchors.csv")
+
+
+@pytest.mark.parametrize(("log", "words"), [
+    ("truth_lat_deg,height\n0,a1,1,60,1\n", r"columns\.truth_lon=None .*truth_lon_deg, because .* has truth_lat_deg"),
+    ("truth_height_m\n0,a1,1,60\n", r"columns\.truth_lat=None"),
+    ("x_m,y_m,truth_lat_deg,truth_lon_deg\n0,a1,1,2,2,60,24\n", r"one of x_m and truth_lat_deg; .* has both"),
+    ("truth_lat_deg,truth_lon_deg\n0,a1,1,24,160\n", r"log\.csv"),
+])  # fmt: skip
+def test_truth_in_degrees_in_the_log_that_is_wrong(log, words):
+    Path("log.csv").write_text(f"time_s,anchor,azimuth_deg,{log}")
+    with pytest.raises(BadValue, match=words):
+        Recorded("recorded", "log.csv", "anchors.csv", origin_deg=[60.0, 24.0])
+
+
 def test_marks_are_numbered():
     text = "start_s,end_s,x_m,y_m\n0,1,3,2\n2,2.5,5,6\n3,4,3,2\n"
     assert list(read(text).marks) == [0, 0, 1, 0, 0]

@@ -1,5 +1,7 @@
 """The numbers in the figures of a run against SciPy, pandas and the stored tables."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -84,10 +86,26 @@ def test_means_have_their_parameters(sweep):
         assert row["low"] < row["value"] < row["high"]
 
 
+def test_estimators_that_are_not_causal_are_marked(sweep):
+    source, choice = prepared(sweep, ONE)
+    late = source.summary.assign(causal=source.summary["estimator"] != "ekf_vmf")
+    found = values.shown(replace(source, summary=late), choice)
+    assert [one.group for one in found] == ["ekf_vmf (non-causal)", "ekf_ae_nominal"]
+
+
 def test_colours_of_another_column_give_panels_of_estimators(sweep):
     found = values.means(*prepared(sweep, by="noise.sigma_deg", over=("noise",)))
     assert list(dict.fromkeys(found["group"])) == ["2", "5", "10"]
     assert list(dict.fromkeys(found["panel"])) == ["ekf_vmf", "ekf_ae_nominal"]
+
+
+def test_estimators_can_be_an_axis(sweep):
+    found = values.means(*prepared(sweep, ONE[1:], by="noise", over=("estimator",), kind="curve"))
+    frame = aoabench.load(sweep).query("`noise.sigma_deg` == 5")
+    wanted = frame.groupby(["noise", "estimator"])["rmse_3d_m"].mean()
+    assert found.set_index(["group", "estimator"])["value"].to_dict() == pytest.approx(
+        wanted.to_dict()
+    )
 
 
 def test_the_course_is_the_median_of_the_replications(sweep, steps):

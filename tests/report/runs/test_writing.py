@@ -41,10 +41,10 @@ def test_the_page_holds_all_it_shows(frame):
     assert text.count("&lt;script&gt;") >= 3
     assert text.count("<tr>") == 1 + len(drawing.table) == 5
     assert re.findall(r"<th scope=\"col\">(\w+)", text) == [
-        "group", "x", "value", "low", "high", "n", "of",
+        "estimator", "x", "value", "low", "high", "n", "of",
     ]  # fmt: skip
     assert "<td>1.5</td>" in text
-    assert all(f"<p>{sentence}</p>" in text for sentence in drawing.footer)
+    assert f"<figcaption>{' '.join(drawing.footer)}</figcaption>" in text
 
 
 def test_a_long_table_is_cut_with_a_count(frame, monkeypatch):
