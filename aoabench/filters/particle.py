@@ -236,8 +236,7 @@ class ParticleFilter(ExtentBound, Compiled, Filter):
         table = weights_table(self.measurement, kind)
         if chosen is None:
             chosen = np.empty((R, 0, 2, N), dtype=np.float32)
-        Fs, Qs = (np.ascontiguousarray(A, dtype=float) for A in belief[2:])
-        roots = process_roots(Qs)
+        Fs, roots = np.ascontiguousarray(belief.F, dtype=float), process_roots(belief.Q)
         for i, (replication, origin) in enumerate(zip(streams.replications, origins)):
             F, root_Q = (A[min(i, len(A) - 1)] for A in (Fs, roots))
             noise = shared_normals(compiled, key, replication, T + 1, N, R)
