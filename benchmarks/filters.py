@@ -66,7 +66,7 @@ def particle(repeats: int) -> Iterator[Row]:
     libraries = peers.available(cell.scenario, batch, math.radians(10), PARTICLES)
     actions |= {name: made["PF"] for name, made in libraries.items()}
     found, T = in_turn(actions, repeats), batch.azimuth.shape[1]
-    steps = dict.fromkeys(found, T) | {name: lap.steps for name, lap in laps.items()}
+    steps: dict[str, int] = dict.fromkeys(found, T) | {n: lap.steps for n, lap in laps.items()}
     ns = {name: 1e9 * seconds / (steps[name] * PARTICLES) for name, seconds in found.items()}
     how = (
         f"median of {repeats}, in turn; 10 000 particles, 64 steps, "

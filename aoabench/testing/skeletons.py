@@ -1,4 +1,6 @@
-"""Files to start a plug-in from: a class, a preset and a test that pass at once."""
+"""Files to start from: a plug-in's class, preset and test, and a study of one table and figure.
+They run, and their tests pass, at once.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,11 @@ from typing import NamedTuple
 from aoabench import loaded
 from aoabench.config.presets import GROUPS, options
 from aoabench.errors import BadValue, UserError
+from aoabench.resources import shipped
 
 KINDS = ("estimator", "filter", "noise", "scenario")
+STUDY = "study"
+_STUDY_FILES = ("study.yaml", "claims.yaml", "errata.yaml", "numbers.py", "figures.py", "README.md")
 _RUN = {  # the overrides beside the new preset
     "estimator": "'estimator=[{name},ls_lines]'",
     "filter": "'filter=[{name},ekf_vmf]'",
@@ -49,6 +54,27 @@ def write(kind: str, name: str, folder: Path) -> Written:
         folder / f"test_{name}.py": _rendered("test.py.j2", words),
     }
     return Written(_created(texts), _commands(kind, name))
+
+
+def write_study(name: str, folder: Path) -> Written:
+    """Write experiments/NAME, configs/experiment/NAME.yaml and tests/studies/test_NAME.py into a
+    checkout.
+
+    Raises UserError for a name that is taken or is none, for a folder that is not the checkout in
+    use, and for a file that exists.
+    """
+    check_name(name, folder)
+    if shipped("experiments") != folder.resolve() / "experiments":
+        place = shipped("experiments").parent
+        here = f": {place}" if (place / "tests").is_dir() else ", installed with pip install -e"
+        raise BadValue("--dir", str(folder), f"for a study, the checkout of aoabench in use{here}")
+    words = {"name": name, "title": name.replace("_", " ").capitalize()}
+    places = {f"{file}.j2": folder / "experiments" / name / file for file in _STUDY_FILES}
+    places["experiment.yaml.j2"] = folder / "configs" / "experiment" / f"{name}.yaml"
+    places["test.py.j2"] = folder / "tests" / "studies" / f"test_{name}.py"
+    texts = {path: _rendered(f"study/{file}", words) for file, path in places.items()}
+    commands = [f"aoabench reproduce {name}", f"python -m pytest tests/studies/test_{name}.py"]
+    return Written(_created(texts), commands)
 
 
 def _commands(kind: str, name: str) -> list[str]:

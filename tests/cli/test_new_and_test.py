@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from aoabench.studies import study
 from aoabench.testing import skeletons
 from aoabench.testing.plugins import module_of, plugins_of
 
@@ -58,6 +59,35 @@ def test_the_skeletons_are_formatted_and_clean(here, call):
     ):
         done = subprocess.run([*ruff, *words, *files], capture_output=True, text=True)
         assert done.returncode == 0, done.stdout
+
+
+@pytest.fixture
+def checkout(here, monkeypatch):
+    """An empty checkout, in which studies are looked up."""
+    for module in (skeletons, study):
+        monkeypatch.setattr(module, "shipped", lambda folder: here.resolve() / folder)
+    monkeypatch.setattr(study, "load", study.load.__wrapped__)
+    return here
+
+
+def test_the_skeleton_of_a_study_passes_its_test(checkout, call):
+    code, out, err = call("new", "study", "fresh_study")
+    assert code == 0, err
+    files = [line.removeprefix("wrote ") for line in out.splitlines() if "wrote" in line]
+    assert len(files) == 8
+    assert all(Path(file).stat().st_size for file in files)
+    ruff = [sys.executable, "-m", "ruff", "format", "--line-length=100", "--check"]
+    done = subprocess.run([*ruff, *files[3:5], files[-1]], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    assert pytest.main(["-q", "-p", "no:cacheprovider", files[-1]]) == 0
+
+
+def test_a_study_is_written_into_the_checkout_alone(here, call):
+    code, _, err = call("new", "study", "fresh_study")
+    assert code == 2
+    assert "--dir='.' is not allowed; allowed: for a study, the checkout of aoabench in use" in err
+    assert err.count("\n") == 1
+    assert not list(here.iterdir())
 
 
 def test_nothing_is_replaced(here, call):
