@@ -1,6 +1,7 @@
 """Errors of the file system and of Arrow: one line, exit status 1, and the same command goes on."""
 
 import errno
+import io
 import os
 import re
 import time
@@ -200,7 +201,7 @@ def test_a_temporary_file_that_cannot_be_deleted_hides_no_error(tmp_path, monkey
 
 
 def test_standard_output_on_a_full_disk(call, monkeypatch):
-    class Full:
+    class Full(io.TextIOBase):
         def write(self, text):
             return len(text)
 

@@ -48,7 +48,8 @@ def test_a_skeleton_runs_and_obeys_every_rule(here, call, kind):
 
 def test_the_skeletons_are_formatted_and_clean(here, call):
     for kind in skeletons.KINDS:
-        call("new", kind, f"my_{kind}")
+        code, _, err = call("new", kind, f"clean_{kind}")
+        assert code == 0, err
     files = sorted(map(str, here.glob("*.py")))
     assert len(files) == 8
     ruff = [sys.executable, "-m", "ruff"]

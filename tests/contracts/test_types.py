@@ -14,7 +14,7 @@ FOREIGN = {
     ("config/messages.py", "missing_cfg_file"),
     ("config/messages.py", "options"),
     ("engine/faults.py", "strerror"),
-    ("devices/foreign.py", "strerror"),
+    ("devices/readers/foreign.py", "strerror"),
     ("store/live.py", "py_func"),
     ("cli/main.py", None),  # signals that a platform lacks
     ("cli/stopping.py", None),
