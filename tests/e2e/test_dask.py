@@ -30,7 +30,7 @@ pytest.importorskip("distributed", reason="Dask is not installed: pip install 'a
 WORDS = [
     "noise=vmf",
     "filter=[pf_vmf,ekf_vmf]",
-    "filter.pf_vmf.particles=2000",
+    "filter.pf_vmf.particles=20000",
     "reps=160",
     "runner.chunk=2",
 ]

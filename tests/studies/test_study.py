@@ -32,12 +32,18 @@ def test_studies_with_modules_of_one_name_do_not_share_them(tmp_path):
     assert [made_up(tmp_path / name).numbers.fig1("quick") for name in ("one", "two")] == [1, 2]
 
 
+def computed(s, item, runs):
+    """The table of an item at quick scale, and the config that it came from."""
+    ran = computing.run(s, item, "quick", runs)
+    return computing.reduce(s, item, "quick", runs.folder(s), ran)
+
+
 def test_provenance_names_the_file_that_computes(tmp_path):
     (tmp_path / "numbers").mkdir()
     (tmp_path / "numbers" / "__init__.py").write_text("from .inner import fig1\n")
     (tmp_path / "numbers" / "inner.py").write_text("def fig1(scale):\n    return scale\n")
     item = study.Item("fig1", "", "")
-    frame, origin = computing.compute(made_up(tmp_path), item, "quick", computing.Runs(tmp_path))
+    frame, origin = computed(made_up(tmp_path), item, computing.Runs(tmp_path))
     assert frame == "quick"
     assert origin["function"] == "experiments/made_up/numbers/inner.py:fig1"
 
@@ -57,17 +63,17 @@ def test_an_item_without_a_count_has_the_replications_that_its_precision_takes(t
     few = ["noise=vmf", "filter=[ekf_vmf,ukf_vmf]", "estimator=[]", "runner.n_jobs=1"]
     (tmp_path / "numbers.py").write_text("def kept(frame):\n    return frame\n")
 
-    def computed(*words):
+    def kept(*words):
         scale = {"quick": [*few, *words]}
         item = study.Item("kept", "t", "c", experiment="nurminen2018_adaptivity", scale=scale)
         made = made_up(tmp_path)
-        return computing.compute(made, item, "quick", computing.Runs(tmp_path / "raw"))
+        return computed(made, item, computing.Runs(tmp_path / "raw"))
 
-    frame, origin = computed("scenario=square_track", *goal)
+    frame, origin = kept("scenario=square_track", *goal)
     each = frame.groupby("estimator")["rmse_3d_m"].agg(["mean", "std", "size"])
     assert (each["std"] / np.sqrt(each["size"]) <= 0.03 * each["mean"]).all()
     assert set(each["size"]) == {origin["reps"]} < set(range(10, 20_000))
-    more, _ = computed("scenario=square_track", "reps=200")
+    more, _ = kept("scenario=square_track", "reps=200")
     assert len(more) == 400
-    again, origin = computed("scenario=square_track", *goal)
+    again, origin = kept("scenario=square_track", *goal)
     assert len(again) == len(frame) == 2 * origin["reps"]
