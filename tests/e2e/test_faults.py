@@ -23,9 +23,10 @@ from aoabench.engine import runner
 from aoabench.store.parts import intact_parts
 from tests.commands import PATIENCE_S, Command
 
+REPS = 1600
 WORDS = ["noise=vmf", "filter=[pf_vmf,pf_ae_nominal]", "filter.pf_vmf.particles=1000", "filter.pf_ae_nominal.particles=1000",
-         "reps=400", "runner.chunk=4"]  # fmt: skip
-PARTS = 200  # of two filters
+         f"reps={REPS}", "runner.chunk=16"]  # fmt: skip
+PARTS = 200  # of two filters, in tiles of 16
 KILLS = 20
 
 
@@ -59,7 +60,7 @@ def assert_kept(before, out):
 def assert_each_once(out):
     for folder in (out / "parts").iterdir():
         parts = intact_parts(out, folder.name)
-        assert sum(part.stop - part.start for part in parts) == 400, "overlapping parts"
+        assert sum(part.stop - part.start for part in parts) == REPS, "overlapping parts"
 
 
 def wait_for(condition, command=None):
