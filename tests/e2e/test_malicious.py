@@ -75,9 +75,9 @@ CORPUS = {
     "outside from the root": ("experiment/x.yaml", EXPERIMENT + "runner: {out: /tmp/outside}\n", ["experiment=x"]),
     "outside at home": ("experiment/x.yaml", EXPERIMENT + "runner: {out: ~/outside}\n", ["experiment=x"]),
     "outside by interpolation": ("experiment/x.yaml", EXPERIMENT + "runner: {out: '${oc.env:HOME}/outside'}\n", ["experiment=x"]),
-    "outside by a runner": ("runner/x.yaml", "out: in/../../outside\n", ["filter=[ekf_vmf]", "runner=x"]),
+    "outside by a runner": ("runner/x.yaml", "out: in/../../outside\nn_jobs: 1\n", ["filter=[ekf_vmf]", "runner=x"]),
     "outside by a sweep": ("experiment/x.yaml", EXPERIMENT + "hydra: {sweeper: {params: {runner.out: ../outside}}}\n", ["experiment=x", "-m"]),
-    "another machine": ("runner/x.yaml", "out: out\nbackend: dask\naddress: tcp://127.0.0.1:8786\n", ["filter=[ekf_vmf]", "runner=x"]),
+    "another machine": ("runner/x.yaml", "out: out\nn_jobs: 1\nbackend: dask\naddress: tcp://127.0.0.1:8786\n", ["filter=[ekf_vmf]", "runner=x"]),
     "another machine by an experiment": (
         "experiment/x.yaml", EXPERIMENT + "runner: {backend: dask, address: 'tcp://127.0.0.1:8786'}\n", ["experiment=x"],
     ),
