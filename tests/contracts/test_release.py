@@ -64,3 +64,11 @@ def numbers(version):
     while found[-1] == 0:
         found.pop()
     return tuple(found)
+
+
+def test_the_tests_of_the_oldest_libraries_exist():
+    for name in (ROOT / ".ci" / "lowest.tests").read_text(encoding="utf-8").split():
+        file, _, test = name.partition("::")
+        assert not test or f"def {test.partition('[')[0]}(" in (ROOT / file).read_text(
+            encoding="utf-8"
+        ), name
