@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,12 +20,14 @@ from aoabench.resources import shipped
 
 # an interpolation that names another key by its path from the top, or reads the environment
 _REFERENCE = re.compile(r"\$\{(?:(\w+)(?:\.\w+)*|oc\.env:[^${}]*)\}")
+_HYDRA = threading.RLock()
 
 
 @contextmanager
 def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
     """Initialise Hydra's compose API over the shipped configs, and the user's own folder once it is
-    checked. No interpolation reads the machine meanwhile, except as `resolvers` allows.
+    checked. No interpolation reads the machine meanwhile, except as `resolvers` allows. Hydra has
+    one state for all threads: others wait.
     """
     from hydra._internal.hydra import Hydra
     from hydra._internal.utils import create_config_search_path
@@ -33,23 +36,24 @@ def hydra_initialised(config_dir: str | None = None) -> Iterator[None]:
     from hydra.core.singleton import Singleton
     from hydra.version import setbase
 
-    refuse_foreign_hydra(config_dir)
-    before = Singleton.get_state()
-    GlobalHydra.instance().clear()
-    setbase("1.3")
-    path = create_config_search_path(str(shipped("configs")))
-    if config_dir:
-        path.prepend(
-            "command-line",
-            f"file://{Path(config_dir).resolve()}",
-            SearchPathQuery(provider="schema"),
-        )
-    Hydra.create_main_hydra2(task_name="aoabench", config_search_path=path)
-    try:
-        guard()
-        yield
-    finally:
-        Singleton.set_state(before)
+    with _HYDRA:
+        refuse_foreign_hydra(config_dir)
+        before = Singleton.get_state()
+        GlobalHydra.instance().clear()
+        setbase("1.3")
+        path = create_config_search_path(str(shipped("configs")))
+        if config_dir:
+            path.prepend(
+                "command-line",
+                f"file://{Path(config_dir).resolve()}",
+                SearchPathQuery(provider="schema"),
+            )
+        Hydra.create_main_hydra2(task_name="aoabench", config_search_path=path)
+        try:
+            guard()
+            yield
+        finally:
+            Singleton.set_state(before)
 
 
 def plain_nodes(cfg: Any, speller: Speller) -> dict[str, Any]:

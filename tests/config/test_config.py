@@ -189,3 +189,15 @@ def test_options_list_every_shipped_file_with_a_description():
 def test_shipped_folders_exist():
     assert (shipped("configs") / "config.yaml").is_file()
     assert os.path.isdir(shipped("experiments"))
+
+
+def test_threads_compose_at_the_same_time():
+    """Hydra has one state for all threads."""
+    words = [
+        ["scenario=bs_grid", "noise=ae_normal", "estimator=[ls]"],
+        ["noise=vmf", "filter=[ekf_vmf]"],
+    ]
+    alone = [compose_cells(one)[0].id for one in words]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda one: compose_cells(one)[0].id, words * 8))
+    assert found == alone * 8
