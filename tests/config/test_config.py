@@ -1,6 +1,7 @@
 """What a config may name, and that nothing else gets in."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
