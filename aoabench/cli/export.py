@@ -57,7 +57,7 @@ def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> l
 )
 @click.option(
     "-o",
-    "--output",
+    "--out",
     type=click.Path(path_type=Path),
     help="The file to write; its ending (.tex, .csv, .json, .md, .nc) can stand for the format.",
 )
@@ -67,7 +67,7 @@ def export(
     by: str | None,
     digits: int,
     replications: bool,
-    output: Path | None,
+    out: Path | None,
     **formats: bool,
 ) -> None:
     """Write the table of a run for a paper or another program.
@@ -88,22 +88,22 @@ def export(
     """
     from aoabench.report import export as export_module
 
-    form = _form([name for name, given in formats.items() if given], output)
+    form = _form([name for name, given in formats.items() if given], out)
     if replications and form != "xarray":
         raise UserError(f"--replications is not allowed with --{form}; allowed: with --xarray")
-    if form == "xarray" and output is None:
+    if form == "xarray" and out is None:
         raise UserError("--xarray: the file is missing; allowed: together with -o FILE.nc")
     words = [f"--{form}", *(f"--metric={name}" for name in metrics)]
     words += [f"--by={by}"] * bool(by) + [f"--digits={digits}"] * (digits != 2)
     command = shlex.join(["aoabench", "export", str(run), *words])
     made = export_module.export(run, form, metrics, by, digits, command, replications)
-    if output is None:
+    if out is None:
         click.echo(json_text(made) if form == "json" else made, nl=form == "json")
     else:
-        _write(output, form, made)
+        _write(out, form, made)
 
 
-def _form(given: list[str], output: Path | None) -> str:
+def _form(given: list[str], out: Path | None) -> str:
     """The format that the flags name, or else the file's ending; UserError unless it is one."""
     from aoabench.report.export import FORMATS
 
@@ -112,23 +112,23 @@ def _form(given: list[str], output: Path | None) -> str:
     if given:
         return given[0]
     known = {ending: name for name, ending in FORMATS.items()}
-    if output is None or output.suffix.lower() not in known:
+    if out is None or out.suffix.lower() not in known:
         flags = ", ".join(f"--{name}" for name in FORMATS)
         raise UserError(
             f"the format is missing; allowed: one of {flags}, or -o FILE with one of the endings "
             f"{', '.join(known)}"
         )
-    return known[output.suffix.lower()]
+    return known[out.suffix.lower()]
 
 
-def _write(output: Path, form: str, made: Any) -> None:
+def _write(out: Path, form: str, made: Any) -> None:
     """Write what `export` made to a file."""
     from aoabench.store.files import write_atomically
 
-    if output.is_dir():
-        raise UserError(f"-o {output}: this is a folder; allowed: the name of a file")
+    if out.is_dir():
+        raise UserError(f"-o {out}: this is a folder; allowed: the name of a file")
     if form == "xarray":
-        write_atomically(output, lambda file: made.to_netcdf(file, engine="netcdf4"))
+        write_atomically(out, lambda file: made.to_netcdf(file, engine="netcdf4"))
         return
     text = json_text(made) + "\n" if form == "json" else made
-    write_atomically(output, lambda file: file.write_text(text, encoding="utf-8", newline="\n"))
+    write_atomically(out, lambda file: file.write_text(text, encoding="utf-8", newline="\n"))

@@ -19,7 +19,7 @@ from aoabench.params import param
 from aoabench.roles import Motion, Scenario
 from aoabench.scenarios.layout import AnchorLayout
 from aoabench.scenarios.log_columns import Columns
-from aoabench.scenarios.parameters import least_heard_param, name_param, origin_param
+from aoabench.scenarios.parameters import bounds_param, least_heard_param, name_param, origin_param
 from aoabench.types import Tracks
 
 
@@ -159,12 +159,7 @@ class LogParameters(Scenario, ABC):
         "known height of the target, for methods in the plane; null: unknown",
         unit="m",
     )
-    bounds_m: Sequence[Sequence[float]] | None = param(
-        None,
-        "lower and upper corner [x, y] of the target's area; null: no bounds",
-        unit="m",
-        shape=(2, 2),
-    )
+    bounds_m: Sequence[Sequence[float]] | None = bounds_param()
     truth_file: str | None = param(
         None,
         "file of true positions: instants (time), marks (start, end), or fixes (fix or sequence)",

@@ -43,3 +43,13 @@ def origin_param() -> Any:
         unit="deg",
         shape=(2,),
     )
+
+
+def bounds_param() -> Any:
+    """The field `bounds_m` of a scenario that takes its places from files."""
+    return param(
+        None,
+        "lower and upper corner [x, y] of the target's area; null: no bounds",
+        unit="m",
+        shape=(2, 2),
+    )

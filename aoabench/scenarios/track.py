@@ -20,7 +20,7 @@ from aoabench.models.motion import NAMED, motion_of
 from aoabench.params import param
 from aoabench.roles import Motion, Scenario
 from aoabench.scenarios.layout import AnchorLayout
-from aoabench.scenarios.parameters import dt_param, name_param, origin_param
+from aoabench.scenarios.parameters import bounds_param, dt_param, name_param, origin_param
 from aoabench.types import Anchors
 
 TRACK = (
@@ -72,12 +72,7 @@ class Track(Scenario):
         "without z_m",
         unit="m",
     )
-    bounds_m: Sequence[Sequence[float]] | None = param(
-        None,
-        "lower and upper corner [x, y] of the target's area; null: no bounds",
-        unit="m",
-        shape=(2, 2),
-    )
+    bounds_m: Sequence[Sequence[float]] | None = bounds_param()
     origin_deg: Sequence[float] | None = origin_param()
     start_s = None  # filters start at the first row
 
