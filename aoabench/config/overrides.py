@@ -72,6 +72,25 @@ def read(words: Iterable[str], sweep: bool = True) -> list[Setting]:
     return [setting for setting in found if setting is not None]
 
 
+def refuse_two_ways(settings: Sequence[Setting]) -> None:
+    """Raise UserError for a group or key of a run that one word sets and another adds to with `+`:
+    Hydra would take one of them, or neither.
+    """
+    found: dict[str, dict[bool, Setting]] = {}
+    for setting in settings:
+        if "." not in setting.key and not setting.is_deletion:
+            found.setdefault(setting.key, {})[setting.line.startswith("+")] = setting
+    for key, both in found.items():
+        if len(both) == 2:
+            set_, added = both[False], both[True]
+            names = dict.fromkeys([*leaves(set_.value), *leaves(added.value)])
+            one = f"one list, {key}=[{','.join(names)}]" if key in LISTS else "one of them"
+            raise UserError(
+                f"{shorten(set_.word)} and {shorten(added.word)}: {key} is set in two ways; "
+                f"allowed: {one}"
+            )
+
+
 def file_setting(key: str, path: object) -> str:
     """The override that sets `key` to one file or folder, whatever its name."""
     return f"{key}={quoted(str(path))}"
