@@ -191,8 +191,7 @@ def _source(cls: type) -> str:
         found = [" ".join(one.split()) for one in _CITED.findall(text or "")]
         if found:
             return "; ".join(dict.fromkeys(found))
-    file = inspect.getsourcefile(cls) or ""
-    return f"{cls.__module__.replace('.', '/')}.py" if "aoabench." in cls.__module__ else file
+    return f"{cls.__module__.replace('.', '/')}.py"
 
 
 def fits(found: About, config_dir: str | None = None) -> dict[str, list[str]]:

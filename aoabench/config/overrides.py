@@ -73,22 +73,19 @@ def read(words: Iterable[str], sweep: bool = True) -> list[Setting]:
 
 
 def refuse_two_ways(settings: Sequence[Setting]) -> None:
-    """Raise UserError for a group or key of a run that one word sets and another adds to with `+`:
-    Hydra would take one of them, or neither.
+    """Raise UserError for a group or key of a run to which a word adds with `+` and that another
+    word sets or adds to: Hydra would take one of them, or neither.
     """
-    found: dict[str, dict[bool, Setting]] = {}
+    found: dict[str, list[Setting]] = {}
     for setting in settings:
         if "." not in setting.key and not setting.is_deletion:
-            found.setdefault(setting.key, {})[setting.line.startswith("+")] = setting
-    for key, both in found.items():
-        if len(both) == 2:
-            set_, added = both[False], both[True]
-            names = dict.fromkeys([*leaves(set_.value), *leaves(added.value)])
+            found.setdefault(setting.key, []).append(setting)
+    for key, each in found.items():
+        if len(each) > 1 and any(setting.line.startswith("+") for setting in each):
+            names = dict.fromkeys(name for setting in each for name in leaves(setting.value))
             one = f"one list, {key}=[{','.join(names)}]" if key in LISTS else "one of them"
-            raise UserError(
-                f"{shorten(set_.word)} and {shorten(added.word)}: {key} is set in two ways; "
-                f"allowed: {one}"
-            )
+            words = " and ".join(shorten(setting.word) for setting in each)
+            raise UserError(f"{words}: {key} is set in two ways; allowed: {one}")
 
 
 def file_setting(key: str, path: object) -> str:
