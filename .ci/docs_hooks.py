@@ -84,7 +84,7 @@ def on_post_template(output_content: str, template_name: str, config: MkDocsConf
 
 
 def _searched(html: str) -> str:
-    """A page of the theme's plugin `offline` with the script SEARCH inside, in place of the one that
+    """A page of the plugin `offline` with the script SEARCH inside, in place of the one that
     the plugin loads from another server.
     """
     own = f"<script>\n{SEARCH.read_text(encoding='utf-8')}</script>"
