@@ -93,22 +93,13 @@ def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str,
     if scenario not in known:
         hint = did_you_mean(scenario, known) or f"; allowed: {', '.join(known)}"
         raise UserError(f"--fits={scenario}: unknown scenario{hint}")
+    plain = composed([f"scenario={scenario}"], config_dir)
+    place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
     found: dict[str, dict[str, list[str]]] = {group: {} for group in LISTS}
     for noise in options("noise", config_dir):
-        for group, name in fitting_presets(scenario, noise, config_dir):
+        for group, name in _that_fit(*_with_noise(noise, config_dir), place):
             found[group].setdefault(name, []).append(noise)
     return found
-
-
-def fitting_presets(
-    scenario: str, noise: str, config_dir: str | None = None
-) -> list[tuple[str, str]]:
-    """Group and name of the filters and estimators that run in a scenario with a noise."""
-    chosen = [f"scenario={scenario}", f"noise={noise}"]
-    plain = composed([*chosen, *_every_estimator(config_dir)], config_dir)
-    place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
-    errors = as_noise(construct(plain["noise"], "noise"), "noise")
-    return list(_that_fit(plain, place, errors))
 
 
 def fitting_places(group: str, name: str, config_dir: str | None = None) -> dict[str, list[str]]:
@@ -119,17 +110,32 @@ def fitting_places(group: str, name: str, config_dir: str | None = None) -> dict
         plain = composed([f"{group}=[{name}]", f"noise={noise}"], config_dir)
         errors = as_noise(construct(plain["noise"], "noise"), "noise")
         for scenario, place in places.items():
-            if (group, name) in _that_fit(plain, place, errors):
+            if (group, name) in _that_fit(plain, errors, place):
                 found.setdefault(scenario, []).append(noise)
     return found
 
 
 def scenarios_of(noise: str, config_dir: str | None = None) -> list[str]:
     """The scenarios in which a filter or estimator runs with a noise."""
-    plain = composed([f"noise={noise}", *_every_estimator(config_dir)], config_dir)
-    errors = as_noise(construct(plain["noise"], "noise"), "noise")
+    plain, errors = _with_noise(noise, config_dir)
     places = _scenarios(config_dir).items()
-    return [name for name, place in places if any(_that_fit(plain, place, errors))]
+    return [name for name, place in places if any(_that_fit(plain, errors, place))]
+
+
+def _with_noise(noise: str, config_dir: str | None) -> tuple[Mapping[str, Any], Noise]:
+    """The config with a noise and all filters and estimators, which may be fitted to it; and the
+    noise.
+    """
+    if config_dir is None:
+        return _shipped_with_noise(noise)
+    plain = composed([f"noise={noise}", *_every_estimator(config_dir)], config_dir)
+    return plain, as_noise(construct(plain["noise"], "noise"), "noise")
+
+
+@cache
+def _shipped_with_noise(noise: str) -> tuple[Mapping[str, Any], Noise]:
+    plain = composed([f"noise={noise}", *_every_estimator()])
+    return plain, as_noise(construct(plain["noise"], "noise"), "noise")
 
 
 def _scenarios(config_dir: str | None) -> dict[str, Scenario]:
@@ -175,7 +181,7 @@ def not_in_all(config_dir: str | None = None) -> dict[str, dict[str, str]]:
 def fitting_estimators(scenario: Scenario, noise: Noise) -> dict[str, list[str]]:
     """By group, the shipped filters and estimators that run in this scenario with this noise."""
     found: dict[str, list[str]] = {group: [] for group in LISTS}
-    for group, name in _that_fit(_shipped_estimators(), scenario, noise):
+    for group, name in _that_fit(_shipped_estimators(), noise, scenario):
         found[group].append(name)
     return found
 
@@ -221,7 +227,7 @@ def composed(
 
 
 def _that_fit(
-    plain: Mapping[str, Any], scenario: Scenario, noise: Noise
+    plain: Mapping[str, Any], noise: Noise, scenario: Scenario
 ) -> Iterator[tuple[str, str]]:
     """Group and name of each estimator of a config that fits."""
     for group in LISTS:
