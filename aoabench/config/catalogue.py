@@ -40,24 +40,26 @@ def group_of(name: str, config_dir: str | None = None) -> str:
     return found[name]
 
 
-def parameters(name: str, config_dir: str | None = None) -> list[Parameter]:
+def parameters(
+    name: str, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> list[Parameter]:
     """The parameters of a preset of a scenario, noise, filter or estimator, nested ones too."""
     from hydra import compose
 
     group = group_of(name, config_dir)
     with hydra_initialised(config_dir), explained((), config_dir):
         chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
-        whole = plain_nodes(compose("config", overrides=[chosen]), Speller())
+        whole = plain_nodes(compose("config", overrides=[chosen]), Speller(plugins))
     node = whole[group][name] if group in LISTS else whole[group]
-    return list(_walk(node, f"{group}.{name}" if group in LISTS else group))
+    return list(_walk(node, f"{group}.{name}" if group in LISTS else group, plugins))
 
 
-def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
-    cls = resolve(node["_target_"], path) if "_target_" in node else None
+def _walk(node: Mapping[str, Any], path: str, plugins: Sequence[str]) -> Iterator[Parameter]:
+    cls = resolve(node["_target_"], path, plugins) if "_target_" in node else None
     known = {key_of(f): f for f in dataclasses.fields(cls)} if cls else {}
     for key, value in node.items():
         if isinstance(value, dict):
-            yield from _walk(value, f"{path}.{key}")
+            yield from _walk(value, f"{path}.{key}", plugins)
         elif key != "_target_":
             meta = known[key].metadata.get("param") if key in known else None
             about = (meta.unit, meta.help, allowed(known[key])) if meta else ("", "", "")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from aoabench.config.compose import compose_cells
 from aoabench.studies import study
 from aoabench.testing import skeletons
 from aoabench.testing.plugins import module_of, plugins_of
@@ -189,3 +190,31 @@ def test_presets_give_the_parameters(here):
     )
     found = plugins_of(module_of("lab_x"), "conf")
     assert [(one.name, one.lacks) for one in found] == [("filter=needs", ""), ("Off", "")]
+
+
+def test_each_cell_of_a_sweep_has_the_defaults_of_a_plug_ins_class(here, call):
+    """The first one too, composed before anything else has imported the plug-in."""
+    assert call("new", "noise", "fresh_sweep")[0] == 0
+    words = ["noise=fresh_sweep", "filter=[ekf_vmf]", "plugins=[fresh_sweep]"]
+    cells = compose_cells([*words, "seed=1,2"], config_dir="conf")
+    assert [cell.config["noise"]["scale_deg"] for cell in cells] == [4.0, 4.0]
+
+
+def test_list_and_cfg_know_the_plug_ins_named(here, call):
+    assert call("new", "noise", "fresh_listed")[0] == 0
+    code, out, err = call("list", "fresh_listed", "--config-dir", "conf")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    named = "plugins=[fresh_listed]"
+    assert f"named on the command line: '{named}'" in err
+    code, out, err = call(
+        "run", "noise=fresh_listed", named, "--config-dir", "conf", "--cfg", "job", "-p", "noise"
+    )
+    assert "scale_deg: 4.0" in out, err
+    code, out, err = call("list", "fresh_listed", named, "--config-dir", "conf")
+    assert code == 0, err
+    assert "scale b of the errors" in out
+    (example,) = (line for line in out.splitlines() if line.startswith("  example: "))
+    assert example.endswith(f"noise=fresh_listed estimator=all reps=20 --config-dir conf '{named}'")
+    assert "noise.scale_deg" in call("list", "noise.scale_deg", named, "--config-dir", "conf")[1]
+    code, _, err = call("list", "fresh_listed", "reps=3")
+    assert (code, "one NAME and plugins=[...]" in err) == (2, True)
