@@ -28,7 +28,7 @@ def collect(run: Path, as_json: bool) -> None:
     With --json: `run`, the folder; `cells`, the number of cells in the tables; `tables`, an object
     {name: path}.
     """
-    from aoabench.report.tails import heavy_tails, heavy_tails_text
+    from aoabench.report import tails
     from aoabench.store import folder, tables
     from aoabench.store.lock import locked
 
@@ -42,5 +42,5 @@ def collect(run: Path, as_json: bool) -> None:
         print_json({"run": run, "cells": cells, "tables": paths})
         return
     say(f"{cells} cells: {run}/{{{','.join(_TABLES)}}}.parquet")
-    for line in heavy_tails_text(heavy_tails(tables.shown(run, "summary")["summary"])):
+    for line in tails.lines(tables.shown(run, "summary")["summary"]):
         say(line)

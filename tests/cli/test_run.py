@@ -203,7 +203,7 @@ def test_lines_of_fixes_that_are_not_ok():
         for i in range(25)
     ])  # fmt: skip
     rows.loc[24, "reason"] = None  # a table of schema 1
-    lines = list(not_ok_text(not_ok(rows)))
+    lines = list(not_ok_text(not_ok(rows), {f"c{i}": f"cell c{i}" for i in range(25)}))
     assert len(lines) == 22
     assert (
         lines[1]
@@ -212,7 +212,7 @@ def test_lines_of_fixes_that_are_not_ok():
     behind = "the position lies behind an anchor that it uses (13.8 %)"
     assert lines[2] == f"  cell c23 ls: 9.2 % rejected, 13.8 % failed: {behind}"
     assert lines[-1] == "  and 4 more, see reason in summary.parquet"
-    assert list(not_ok_text(not_ok(rows[:1]))) == []
+    assert list(not_ok_text(not_ok(rows[:1]), {})) == []
 
 
 def test_json_of_a_recording(call, recording, tmp_path):
