@@ -32,9 +32,9 @@ def record_cell(
     timing: Mapping[str, Any],
     reps: Mapping[str, int],
     precision: Mapping[str, Any],
-) -> None:
+) -> int:
     """Record that the tables of `out` show this cell with the first `reps` replications of these
-    estimators.
+    estimators; return how many they showed before of those of which they now show fewer, at most.
 
     `precision` maps each estimator to the precision that it reached under cell.runner.until.
 
@@ -46,6 +46,8 @@ def record_cell(
     if before.get("draws") != draws:
         before = {"experiment": before.get("experiment")}
     entries = dict(before.get("estimators", {}))
+    former = [e["reps"] for n, e in entries.items() if e["key"] == keys.get(n)]
+    hidden = max((r for r in former if r > max(reps.values())), default=0)
     for name, key in keys.items():
         known = {"timing": timing.get(key), "precision": precision.get(name)}
         known |= {} if cell.estimators[name].causal else {"causal": False}
@@ -70,6 +72,7 @@ def record_cell(
     }
     if entries and not (stored and _same(record, stored)):
         write_record(out, {**record, "provenance": provenance()})
+    return hidden
 
 
 def _same(record: Mapping[str, Any], stored: Mapping[str, Any]) -> bool:
