@@ -734,10 +734,20 @@ def test_figures_of_a_campaign(rng, tmp_path):
         assert plots.save(make, tmp_path / f"{name}.png").stat().st_size > 5000
     figure = campaign.cdf(errors)
     labels = [t.get_text() for t in figure.axes[0].get_legend().get_texts()]
-    assert labels[0].endswith("100.0% of fixes")
-    assert labels[-1] == "none: 0.0% of fixes"
+    assert labels[0].endswith("100.0% of 300 fixes")
+    assert labels[-1] == "none: 0.0% of 300 fixes"
     top = [line.get_ydata()[-1] for line in figure.axes[0].lines]
     np.testing.assert_allclose(top, [np.isfinite(e).mean() for e in errors.values()])
+
+
+def test_the_axis_of_errors_holds_them_all_or_counts_those_beyond():
+    figure = campaign.cdf({"few": np.linspace(0.1, 1, 10)})
+    (axis,) = figure.axes
+    assert 1.0 < axis.get_xlim()[1] < 1.1
+    assert "beyond" not in axis.get_legend().get_texts()[0].get_text()
+    (axis,) = campaign.cdf({"far": np.r_[np.full(100, 1.0), 50, 60]}).axes
+    assert axis.get_xlim()[1] == pytest.approx(1.02 * 1.5)
+    assert axis.get_legend().get_texts()[0].get_text().endswith("fixes, 2 beyond the axis")
 
 
 def test_a_recording_is_pickled_for_workers(here):
