@@ -8,7 +8,6 @@ import click
 
 from aoabench.cli.common import Command, json_option, print_json, run_argument, say
 from aoabench.engine.faults import report
-from aoabench.errors import UserError
 
 _TABLES = ("tidy", "replications", "summary", "cells", "timing")
 
@@ -34,7 +33,7 @@ def collect(run: Path, as_json: bool) -> None:
 
     cells = len(folder.record_files(run))
     if not cells:
-        raise UserError(f"{run}: no results here; allowed: the runner.out folder of a run")
+        raise folder.no_results(run)
     with locked(run, report):
         tables.collect(run)
     if as_json:

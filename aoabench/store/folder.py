@@ -14,7 +14,7 @@ import numpy as np
 
 from aoabench.cell import Cell
 from aoabench.columns import IDENTITY, KINDS
-from aoabench.errors import RunError
+from aoabench.errors import RunError, UserError, near_file
 from aoabench.store.documents import FORMAT, read_document, write_document
 from aoabench.store.files import provenance, read_table, schema
 from aoabench.store.parts import Part, intact_parts
@@ -22,6 +22,22 @@ from aoabench.store.parts import Part, intact_parts
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
+
+_MOST_NAMED = 8  # runs in a message
+
+
+def no_results(out: Path) -> UserError:
+    """The error for a folder without a run, with a run of a similar name or the runs in it."""
+    hint = near_file(str(out))
+    try:
+        inside = sorted(one.name for one in out.iterdir() if (one / "cells").is_dir())
+    except OSError:
+        inside = []
+    if inside:
+        rest = ", ..." if len(inside) > _MOST_NAMED else ""
+        hint = f"; it holds the runs {', '.join(inside[:_MOST_NAMED])}{rest};"
+    allowed = "allowed: the runner.out folder of a finished run"
+    return UserError(f"{out}: no results here{hint or ';'} {allowed}")
 
 
 def record_cell(

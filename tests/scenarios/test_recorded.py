@@ -333,6 +333,7 @@ HEAD = "fix,anchor,azimuth_deg,elevation_deg,x_m,y_m\n"
 MISTAKES = {
     "missing column": (LOG.replace("azimuth_deg", "azimut_deg"), {}, ["scenario.columns.azimuth=None", "azimuth_deg", "azimut_deg", "elevation_deg", "did you mean 'azimut_deg'"]),
     "mapped column missing": (LOG, {"columns": {"rssi": "rsi"}}, ["scenario.columns.rssi='rsi'", "log.csv", "rssi_dbm", "x_m"]),
+    "missing columns": (LOG.replace("_deg", "").replace("anchor", "ap"), {}, ["'scenario.columns={azimuth:NAME,anchor:NAME}' reads columns of other names"]),
     "unit of another column": (LOG, {"azimuth_unit": "rad"}, ["scenario.columns.azimuth", "azimuth_rad", "did you mean 'azimuth_deg'"]),
     "column twice": (LOG.replace("rssi_dbm", "anchor"), {}, ["scenario.columns.anchor='anchor'", "2 times"]),
     "neither fix nor time": (LOG.replace("fix,", "nr,"), {}, ["scenario.columns.time=None", "time_s", "or scenario.columns.fix", "nr, anchor"]),
@@ -373,6 +374,13 @@ def test_mistakes_have_one_line_with_key_value_and_allowed(here, log, changes, w
         read(log, **changes)
     for word in words:
         assert word in str(error.value), (word, str(error.value))
+
+
+def test_a_misspelt_file_is_told_from_its_neighbour(here):
+    for key, name, near in (("path", "log.cvs", "log.csv"), ("anchors", "no/anchors.csv", "")):
+        with pytest.raises(UserError, match=f"scenario.{key}='{name}'") as error:
+            read(**{"path": "log.csv", "anchors": "anchors.csv", key: name})
+        assert str(error.value).endswith(f"; did you mean '{near}'?") == bool(near)
 
 
 @pytest.mark.parametrize(("content", "words"), [
