@@ -12,7 +12,7 @@ from aoabench.config.every import SMOOTHER, variant_of
 from aoabench.config.messages import explained
 from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
-from aoabench.config.presets import GROUPS, LISTS, options, own_options, variants
+from aoabench.config.presets import GROUPS, LISTS, options, own_options, unread, variants
 from aoabench.errors import BadValue, UserError, did_you_mean
 from aoabench.params import allowed, key_of
 from aoabench.roles import Estimator, Noise, Scenario
@@ -35,8 +35,9 @@ def group_of(name: str, config_dir: str | None = None) -> str:
     found = {preset: group for group in GROUPS for preset in options(group, config_dir)}
     if name not in found:
         known = [*GROUPS, *found]
+        own = "".join(unread(group, name) for group in GROUPS)
         hint = did_you_mean(name, known) or f"; allowed: {', '.join(GROUPS)}, or a preset"
-        raise UserError(f"{name!r}: no such group or preset{hint}")
+        raise UserError(f"{name!r}: no such group or preset{own or hint}")
     return found[name]
 
 

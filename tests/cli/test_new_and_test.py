@@ -218,3 +218,16 @@ def test_list_and_cfg_know_the_plug_ins_named(here, call):
     assert "noise.scale_deg" in call("list", "noise.scale_deg", named, "--config-dir", "conf")[1]
     code, _, err = call("list", "fresh_listed", "reps=3")
     assert (code, "one NAME and plugins=[...]" in err) == (2, True)
+
+
+def test_a_preset_of_ones_own_that_is_not_read_is_told(here, call):
+    assert call("new", "estimator", "fresh_unread")[0] == 0
+    hint = "; conf/estimator/fresh_unread.yaml is read with --config-dir conf\n"
+    assert call("run", "estimator=[fresh_unread,ls]")[2].endswith(f"unknown preset{hint}")
+    assert call("list", "fresh_unread")[2].endswith(f"no such group or preset{hint}")
+
+
+def test_a_misspelt_name_of_many_is_one_short_line(call):
+    err = call("run", "filter=[ekf_vmff]")[2]
+    assert err.endswith("; did you mean 'ekf_vmf'? allowed: those of `aoabench list filter`\n")
+    assert "allowed: all, anchor_mean, " in call("run", "estimator=[xyz]")[2]
