@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from math import floor, log10
 
+import numpy as np
+
 
 def printed_text(value: float | None, rounding: float) -> str:
     """A printed number with the paper's digits, `rounding` being half a unit of the last one."""
@@ -13,6 +15,11 @@ def printed_text(value: float | None, rounding: float) -> str:
     return (
         f"{value:.{max(0, -floor(log10(2 * rounding) + 1e-9))}f}" if rounding > 0 else f"{value:g}"
     )
+
+
+def significant(value: float, digits: int) -> str:
+    """A finite number to some significant digits, without an exponent."""
+    return np.format_float_positional(value, digits, fractional=False, trim="-")
 
 
 NON_CAUSAL = "fixes use later measurements too, as live positioning cannot"

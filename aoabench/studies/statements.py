@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from aoabench.maths.estimate import Estimate
 from aoabench.maths.intervals import normal_quantile
+from aoabench.report.text import significant
 from aoabench.studies import stored, verdict
 from aoabench.studies.claims import CLASSES, Claim, Reading
 from aoabench.studies.study import Item, Study
@@ -198,10 +197,7 @@ def _undecided(ours: Estimate, found: verdict.Judgement, count: float, item: Ite
         return "on the limit" if found.more == math.inf else "unknown interval"
     if found.more <= 1:
         return "across the limit"
-    times, needed = (
-        np.format_float_positional(number, 2, fractional=False, trim="-")
-        for number in (found.more, found.more * count)
-    )
+    times, needed = (significant(number, 2) for number in (found.more, found.more * count))
     known = count == count and item.counts == "replications"
     count_text = f", N = {needed}" if known else ""
     study_count = count if math.isnan(item.paper_reps) else item.paper_reps

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from aoabench.report.plots import BOUND, BOUND_LABEL, PAGE, error_bars, new
-from aoabench.report.text import number_text
+from aoabench.report.text import number_text, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ def _panel(axis: Any, rows: pd.DataFrame) -> None:
     for i, r in zip(y, rows.to_dict("records")):
         if r["rmse_m"] > end:
             at = {"xytext": (-3, 0), "textcoords": "offset points", "color": "black"}
-            text = f"{r['rmse_m']:.3g} m \u2192"
+            text = f"{significant(r['rmse_m'], 3)} m \u2192"
             axis.annotate(text, (end, i), ha="right", va="center", fontsize=6.5, **at)
         share = f"{100 * r['share_ok']:.3g} %"
         axis.annotate(

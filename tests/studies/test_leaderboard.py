@@ -81,7 +81,7 @@ def test_the_figure_draws_each_bar_or_cuts_and_labels_it(board):
     end = axis.get_xlim()[1]
     assert widths == pytest.approx(np.minimum(rows["rmse_m"], end))
     texts = [text.get_text() for text in axis.texts]
-    assert texts.count("1e+06 m \u2192") == 1
+    assert texts.count("1000000 m \u2192") == 1
     assert sum(text.endswith(" %") for text in texts) == len(rows)
     plt.close(figure)
 
