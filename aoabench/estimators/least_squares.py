@@ -64,6 +64,7 @@ class LeastSquares(Compiled, Estimator):
     heard_only = True
     per_step = True
     kernels = KERNELS
+    uses = frozenset({"elevation", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:

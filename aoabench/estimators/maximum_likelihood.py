@@ -84,6 +84,7 @@ class GaussNewton(Compiled, Estimator):
     heard_only = True
     per_step = True
     kernels = KERNELS
+    uses = frozenset({"elevation", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:

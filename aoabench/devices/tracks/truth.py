@@ -7,7 +7,7 @@ Each row has a position, x, y and, where known, z, in m or by the columns' names
     fix or sequence   the fix, or the packets' sequence number, that the position belongs to
 
 and, where the file is of several tags, the tag. `time_s`, `start_ms` and so on state their units;
-times without one are in the log's. Dates and times are in ISO 8601.
+times without one are in the log's. Dates and times are in ISO 8601. The file may be GPX.
 """
 
 from __future__ import annotations

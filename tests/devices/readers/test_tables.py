@@ -4,6 +4,7 @@ import gzip
 import io
 import json
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -260,6 +261,13 @@ def test_excel(rows, here):
     assert table.at(0) == "row 2"
     rows.to_excel("log.xlsx", header=False, index=False)
     check(read("log.xlsx", header=tuple(NAMES)), rows)
+
+
+def test_without_openpyxl_the_extra_is_named(here, monkeypatch):
+    Path("log.xlsx").write_bytes(b"PK\x03\x04")
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(BadValue, match=r"pip install 'aoabench\[xlsx\]'; or save it as CSV"):
+        header("path", "log.xlsx")
 
 
 # --- wide tables ----------------------------------------------------------------------------------

@@ -82,6 +82,27 @@ def test_truth_in_degrees_needs_an_origin():
     assert np.isnan(found[:, 2]).all()
 
 
+def test_a_gpx_track_is_that_of_a_table_without_its_heights():
+    lat, lon = 60.00003, 24.00005
+    steps = [(lat, lon, 0), (lat + 1e-5, lon, 2), (lat, lon - 2e-5, 4)]
+    days = [f"2026-03-01T12:00:0{t}Z" for _, _, t in steps]
+    text = "time,lat_deg,lon_deg\n" + "".join(
+        f"{day},{a!r},{b!r}\n" for (a, b, _), day in zip(steps, days)
+    )
+    gpx = '<?xml version="1.0"?>\n<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
+    for (a, b, _), day in zip(steps, days):
+        gpx += f'<trkpt lat="{a!r}" lon="{b!r}"><ele>40</ele><time>{day}</time></trkpt>'
+    log = "time_s,anchor,azimuth_deg\n" + "".join(
+        f"2026-03-01T12:00:0{t}Z,a1,1\n" for t in range(5)
+    )
+    given = {"log": log, "origin_deg": [60.0, 24.0], "truth_gap_s": 2}
+    found = read(gpx + "</trkseg></trk></gpx>", **given)
+    assert "truth.csv: heights (ele) are not read, because they count from the sea" in found.notes
+    np.testing.assert_array_equal(found.truth(None), positions(text, **given))
+    assert np.isfinite(found.truth(None)[:, :2]).all()
+    assert np.isnan(found.truth(None)[:, 2]).all()
+
+
 def test_truth_in_degrees_in_the_log_is_that_of_a_file():
     log = "time_s,anchor,azimuth_deg,truth_lat_deg,truth_lon_deg,truth_height_m\n"
     log += "0,a1,1,60.0001,24.0002,1.5\n1,a1,1,60.0003,24.0001,\n2,a1,1,,,\n"
