@@ -103,14 +103,8 @@ def _read(claim: Claim, reading: Reading, ours: Numbers) -> dict[str, Any]:
     """The row of one reading of a claim."""
     row: dict[str, Any] = dict.fromkeys(READ, math.nan)
     row |= {"reading": reading.name, "robustness": reading.robustness, "unit": claim.unit}
-    row |= {
-        "table": claim.item,
-        "number": "",
-        "numbers": 0,
-        "verdict": NOT_JUDGED,
-        "flips": "",
-        "reason": "",
-    }
+    row |= {"table": claim.item, "numbers": 0, "verdict": NOT_JUDGED}
+    row |= dict.fromkeys(("number", "flips", "reason"), "")
     ids = reading.ids(ours.item_of)
     if not ids:
         return row | {"reason": ours.contents[claim.item].problem or NOT_COMPUTED}
