@@ -13,7 +13,7 @@ from aoabench.devices.readers.formats import opened
 from aoabench.devices.readers.reading import Content
 from aoabench.devices.readers.table import Table
 from aoabench.devices.tracks import identity, log
-from aoabench.devices.tracks.naming import chosen_columns, default_names
+from aoabench.devices.tracks.naming import chosen_columns, default_names, found_column
 from aoabench.devices.tracks.packets import check_truth, names_of
 from aoabench.devices.tracks.poses import DEFAULTS, DEGREES, METRES, TURNS, check_columns, receivers
 from aoabench.errors import BadValue, listed
@@ -91,6 +91,7 @@ def _moving(place: LogParameters, named: dict[str, Any], present: list[str]) -> 
     """Whether there is no file of anchors; BadValue if the log has no positions either."""
     if place.anchors is not None:
         return False
-    if not any(named[one] or DEFAULTS[one] in present for one in (*METRES, *DEGREES)):
+    places = (*METRES, *DEGREES)
+    if not any(named[one] or found_column([DEFAULTS[one]], present) for one in places):
         raise BadValue("anchors", None, NEEDED)
     return True

@@ -83,7 +83,11 @@ def text_of(path: object, given: Reading = AUTO) -> bytes:
     content = content.removeprefix(codecs.BOM_UTF8)
     if content[:4] not in _BINARY and (place := content.find(b"\0")) >= 0:
         raise ValueError(f"byte {place} is 0, as in binary files; this is no text")
-    return content if marked or content[:4] in _BINARY else given.in_utf8(content)
+    if content[:4] in _BINARY:
+        return content
+    if b"\r" in content and b"\n" not in content:
+        content = content.replace(b"\r", b"\n")  # one line end each, as of a serial line
+    return content if marked else given.in_utf8(content)
 
 
 def stem(path: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 from aoabench.devices.readers.columns import shown_columns
@@ -31,6 +32,20 @@ def default_names(given: Conventions, time_unit: str) -> dict[str, list[str]]:
     return found | {"anchor": ["anchor", FILE], "rssi": ["rssi_dbm"], "heading": ["heading_deg"]}
 
 
+def found_column(names: Sequence[str], columns: Sequence[str]) -> str | None:
+    """The first of the `names` among a file's columns, else the only column that is one of them in
+    other case or with other marks, else None.
+    """
+    exact = next((one for one in names if one in columns), None)
+    alike = [one for one in columns if _plain(one) in names]
+    return alike[0] if exact is None and len(alike) == 1 else exact
+
+
+def _plain(name: str) -> str:
+    """A name in lower case with _ for all marks."""
+    return re.sub(r"[\W_]+", "_", name.lower().replace("°", "deg")).strip("_")
+
+
 def chosen_columns(
     path: object,
     columns: Sequence[str],
@@ -40,14 +55,13 @@ def chosen_columns(
 ) -> dict[str, str]:
     """Map aoabench's column names to those of the file with `columns`, for the columns to read.
 
-    A column has its name in `named`, or else the first of its default names that the file has.
+    A column has its name in `named`, or else the first of its default names that the file has, in
+    upper or lower case and with any marks: `Azimuth (deg)` is azimuth_deg.
     Raises BadValue if a named or required column is missing, or occurs twice. A fix, a sequence
     number or a time is always required; x and y are required if one of x, y, z is read.
     """
     chosen = {
-        ours: next((one for one in defaults[ours] if one in columns), None)
-        if name is None
-        else name
+        ours: found_column(defaults[ours], columns) if name is None else name
         for ours, name in named.items()
     }
     grouped = any(chosen[ours] for ours in ("fix", "sequence", "anchor_time"))
@@ -84,7 +98,7 @@ def _no_column(
 def unread(content: Content, chosen: Mapping[str, str], path: object) -> list[str]:
     """A line with the columns of a table that are not read, else an empty list."""
     known = {*chosen.values(), FILE, *EXPECTED}
-    left = [name for name in content.columns if name not in known]
+    left = [name for name in content.columns if name and name not in known]
     if not left or content.stated or isinstance(content, Wide):
         return []
     return [f"{path}: columns that are not read: {listed(left)}"]

@@ -35,7 +35,7 @@ def read(content, path="capture.log", **given):
 # --- u-blox ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\r\r\n"])
 def test_fields_of_a_ublox_line(end, here):
     table = read(end.join(LINES))
     row = table.frame.iloc[0].to_dict()

@@ -106,6 +106,26 @@ def test_lines_above_and_among_the_rows(before, rows, here):
     assert table.at(30, "azimuth") == f"line {place} has azimuth_deg={rows['azimuth_deg'][30]}"
 
 
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_files_joined_by_cat_repeat_the_names(mark, end, rows, here):
+    first, second = rows[:10], rows[10:]
+    texts = [mark + part.to_csv(index=False, lineterminator=end) for part in (first, second)]
+    Path("log.csv").write_bytes("".join(texts).encode())
+    table = read()
+    check(table, rows)
+    words = "that name the columns again are left out, as of several files in one"
+    assert table.notes == (f"log.csv: 1 lines {words}",)
+    assert table.at(10, "fix") == "line 13 has fix='2'"
+
+
+def test_lines_may_end_with_cr_alone(rows, here):
+    Path("log.csv").write_bytes(rows.to_csv(index=False, lineterminator="\r").encode())
+    table = read()
+    check(table, rows)
+    assert table.at(0) == "line 2"
+
+
 def test_an_id_may_begin_like_a_comment(here):
     Path("log.csv").write_text("anchor,azimuth_deg\n#1,10\n#2,20\n")
     table = read(names={"anchor": "anchor", "azimuth": "azimuth_deg"})
