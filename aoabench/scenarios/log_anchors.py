@@ -9,11 +9,12 @@ import numpy as np
 
 from aoabench.devices.anchors import AnchorsFile, read_anchors
 from aoabench.devices.geodesy import Origin
+from aoabench.devices.readers.columns import found_column
 from aoabench.devices.readers.formats import opened
 from aoabench.devices.readers.reading import Content
 from aoabench.devices.readers.table import Table
 from aoabench.devices.tracks import identity, log
-from aoabench.devices.tracks.naming import chosen_columns, default_names, found_column
+from aoabench.devices.tracks.naming import chosen_columns, default_names
 from aoabench.devices.tracks.packets import check_truth, names_of
 from aoabench.devices.tracks.poses import DEFAULTS, DEGREES, METRES, TURNS, check_columns, receivers
 from aoabench.errors import BadValue, listed

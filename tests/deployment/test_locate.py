@@ -263,6 +263,8 @@ def test_mistakes_are_one_line(room, log):
     for out in ("fixes.xls", "log.csv"):
         with pytest.raises(UserError, match="-o="):
             files.check_out(room / out, [str(path)])
+    (room / "loop.csv").symlink_to("loop.csv")
+    files.check_out(room / "fixes.csv", [str(room / "loop.csv")])  # told where it is read
 
 
 def test_a_csv_with_any_names_reads_back(room, log):

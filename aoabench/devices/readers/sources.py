@@ -34,7 +34,10 @@ def expanded(key: str, path: Any) -> list[str]:
     if isinstance(path, Sequence) and not isinstance(path, str):
         found = [file for one in path for file in expanded(key, one)]
     elif isinstance(path, str) and has_magic(path) and not os.path.exists(path):
-        found = sorted((f for f in glob(path, recursive=True) if not os.path.isdir(f)), key=natural)
+        files = (one for one in glob(path, recursive=True) if not os.path.isdir(one))
+        # a link to a folder above itself leads to the same files again
+        first = {os.path.realpath(one): one for one in sorted(files, key=len, reverse=True)}
+        found = sorted(first.values(), key=natural)
     elif isinstance(path, str) and os.path.isdir(path):
         found = _parquet_files(path)
     else:
@@ -42,8 +45,10 @@ def expanded(key: str, path: Any) -> list[str]:
         return [path]
     if not found:
         folder = isinstance(path, str) and os.path.isdir(path)
-        hint = f"; this is a folder: '{path}/*.csv' names the files in it" if folder else ""
-        raise BadValue(key, path, f"an {EXISTING}, a list of files, or a glob{hint}")
+        hint = (
+            f"this is a folder: '{path}/*.csv' names the files in it" if folder else "no file fits"
+        )
+        raise BadValue(key, path, f"an {EXISTING}, a list of files, or a glob; {hint}")
     twice = sorted({one for one in found if found.count(one) > 1})
     if twice:
         raise BadValue(key, path, f"each file once; {listed(twice)} occurs more than once")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 
-from aoabench.devices.readers.columns import shown_columns
+from aoabench.devices.readers.columns import found_column, shown_columns
 from aoabench.devices.readers.reading import FILE, Content
 from aoabench.devices.readers.wide import Wide
 from aoabench.devices.tracks.log import Conventions
@@ -30,20 +29,6 @@ def default_names(given: Conventions, time_unit: str) -> dict[str, list[str]]:
     for name in ("time", "anchor_time"):
         found[name] = list(dict.fromkeys([f"{name}_{t}", name, f"{name}_s"]))
     return found | {"anchor": ["anchor", FILE], "rssi": ["rssi_dbm"], "heading": ["heading_deg"]}
-
-
-def found_column(names: Sequence[str], columns: Sequence[str]) -> str | None:
-    """The first of the `names` among a file's columns, else the only column that is one of them in
-    other case or with other marks, else None.
-    """
-    exact = next((one for one in names if one in columns), None)
-    alike = [one for one in columns if _plain(one) in names]
-    return alike[0] if exact is None and len(alike) == 1 else exact
-
-
-def _plain(name: str) -> str:
-    """A name in lower case with _ for all marks."""
-    return re.sub(r"[\W_]+", "_", name.lower().replace("°", "deg")).strip("_")
 
 
 def chosen_columns(

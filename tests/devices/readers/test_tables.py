@@ -209,12 +209,35 @@ def test_a_log_in_several_files_is_one_log(rows, here):
         read(files)
 
 
+def test_links_that_lead_back_add_no_files(here):
+    (here / "logs").mkdir()
+    (here / "logs" / "a.csv").write_text("anchor\nx\n")
+    (here / "logs" / "again").symlink_to(here / "logs")
+    assert len(read("logs/**/*.csv", {"anchor": "anchor"}).frame) == 1
+
+
+def test_a_link_to_itself_is_no_file(here):
+    Path("loop").symlink_to("loop")
+    with pytest.raises(BadValue, match="an existing file"):
+        header("path", "loop")
+
+
+def test_angles_of_silicon_labs_with_ids_of_another_name_are_a_table(here):
+    one = {"azimuth": 1.5, "azimuth_stdev": 2.0, "sequence": 7}
+    Path("log.json").write_text(json.dumps([one | {"locator": name} for name in "ab"]))
+    table = read("log.json", {"anchor": "locator", "azimuth": "azimuth"})
+    assert table.texts("anchor")[1] == ["a", "b"]
+    Path("log.json").write_text(json.dumps([one, one]))
+    with pytest.raises(BadValue, match="without their topics"):
+        header("path", "log.json")
+
+
 def test_lists_and_globs_that_are_wrong(here):
     Path("a.csv").write_text("x\n1\n")
     Path("folder").mkdir()
     for path, words in (
         (["a.csv", "a.csv"], "each file once"),
-        ("b*.csv", "or a glob"),
+        ("b*.csv", "or a glob; no file fits"),
         ("folder", "'folder/\\*.csv' names the files"),
         (["a.csv", "b.csv"], "path='b.csv'.*existing"),
         ([], "existing"),
