@@ -23,10 +23,11 @@ def _metrics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> l
 
 def _columns(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Completions: the columns that differ between the cells and estimators of the run."""
-    from aoabench.report.runs.source import read, varied
+    from aoabench.report.runs.source import TAG, read, varied
 
     try:
-        found = varied(read(ctx.params["run"]))
+        run = read(ctx.params["run"])
+        found = [*varied(run), *([TAG] if len(run.tags) > 1 else [])]
     except (UserError, RunError, OSError, KeyError, TypeError):
         found = []
     return [CompletionItem(name) for name in found if name.startswith(incomplete)]
@@ -52,7 +53,8 @@ def _columns(ctx: click.Context, _param: click.Parameter, incomplete: str) -> li
     "--by",
     metavar="COLUMN",
     shell_complete=_columns,
-    help="The column with a colour for each value.  [default: estimator]",
+    help="The column with a colour for each value, of a recording also its tag.  [default: "
+    "estimator]",
 )
 @click.option(
     "--over",
@@ -95,7 +97,7 @@ def plot(
     cdf, box and violin show how errors are distributed, curve and heatmap a mean over swept
     parameters, with intervals, time the error over the steps (a run with store.steps=true), pairs
     each replication of two estimators. The foot of the figure says how many replications it shows,
-    whether they are synthetic or recorded, and what bars and bands are.
+    at which scale of a study, whether they are synthetic or recorded, and what bars and bands are.
 
     \b
     Examples:
@@ -103,19 +105,23 @@ def plot(
       aoabench plot results/raw/sigma --kind cdf --metric error_xy_m --where noise.sigma_deg=5
       aoabench plot results/raw/sigma --kind pairs --baseline ekf_vmf -o pairs.pdf
       aoabench plot results/raw/sigma --metric cep90_m --by noise -o curve.html
+      aoabench plot results/raw/walk --by tag            (a recording)
     """
     os.environ.setdefault("MPLBACKEND", "Agg")  # figures go to files
     from aoabench.report.runs import drawing, writing
     from aoabench.report.runs.choice import Asked
+    from aoabench.studies.scale import scale_of
 
     if out is not None:
         writing.check_out(out)
     keys = tuple(over.split(",")) if over else ()
-    made = drawing.prepare(run, Asked(kind, metric, by, keys, baseline), where)
+    made = drawing.prepare(run, Asked(kind, metric, by, keys, baseline), where, scale_of)
     if kind is None:
         others = ", ".join(made.choice.others)
         chosen = f"kind={made.choice.kind} is drawn; this run can show {others} too"
         echo(f"aoabench: {chosen}", file=sys.stderr)
+    if made.choice.left_out:
+        echo(f"aoabench: {made.choice.left_out}", file=sys.stderr)
     path = out or run / "plots" / f"{made.choice.kind}.png"
     given = {"metric": metric, "by": by, "over": over, "baseline": baseline}
     words = ["aoabench", "plot", str(run), "--kind", made.choice.kind]

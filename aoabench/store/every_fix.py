@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,13 +50,16 @@ class FixErrors:
         return np.maximum.accumulate(low), np.minimum.accumulate(high[::-1])[::-1]
 
 
-def fix_errors(out: Path, entry: Mapping[str, Any], axis: str) -> FixErrors | None:
-    """The errors of a recorded estimator on an axis: 3d, xy, or z without sign; None if neither its
-    fixes nor its steps are stored.
+def fix_errors(
+    out: Path, entry: Mapping[str, Any], axis: str, replications: Sequence[int] | None = None
+) -> FixErrors | None:
+    """The errors of a recorded estimator on an axis: 3d, xy, or z without sign, in all or some
+    replications; None if neither its fixes nor its steps are stored.
     """
     parts = intact_parts(out, entry["key"])
+    wanted = None if replications is None else np.array(replications)
     errors, tried, places = [], [], []
-    for one, place in each_part(out, entry, parts):
+    for one, place in each_part(out, entry, parts, wanted):
         z = np.sqrt(np.maximum(one.error_3d_m**2 - one.error_xy_m**2, 0))
         error = {"3d": one.error_3d_m, "xy": one.error_xy_m, "z": z}[axis]
         errors.append(np.where(one.accepted, error, np.nan))
@@ -73,6 +76,8 @@ def fix_errors(out: Path, entry: Mapping[str, Any], axis: str) -> FixErrors | No
         for n in ("replication", column, "outcome")
     )
     error = np.where(np.isin(outcome, _WITHOUT), np.nan, np.abs(error))
+    if wanted is not None:
+        number, error = (values[np.isin(number, wanted)] for values in (number, error))
     counts = np.unique(number, return_counts=True)[1]
     if (counts != counts[0]).any():
         return FixErrors(error, np.ones(len(error), dtype=bool), counts=counts)

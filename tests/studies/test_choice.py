@@ -84,13 +84,19 @@ def test_the_time_left_follows_the_speed_of_this_machine():
     pairs = chosen(["le2021"], "fig5,fig6,fig7", KNOWN)
     pace = progress.Pace(pairs, {"le2021/fig5": 10.0, "le2021/fig6": 30.0, "le2021/fig7": 60.0})
     assert pace.text() == "0 of 3 done, about 2 min left"
-    pace.done(30.0)
-    assert pace.left_s == 270.0
-    assert pace.text() == "1 of 3 done, about 4 min left"
-    pace.done(0.0)
-    assert pace.left_s == pytest.approx(60 * 30 / 40)
-    pace.done(1.0)
+    pace.ran(0.1)
+    assert pace.left_s == pytest.approx(100 * 10.1 / 10), "fig5 runs nothing, its function computes"
+    pace.ran(100.0)
+    assert pace.left_s == pytest.approx(70 * 110 / 40), "fig6 ran"
+    pace.done(120.0)
+    assert pace.left_s == pytest.approx(60 * 130 / 50), "each second counts once"
+    assert pace.text() == "1 of 3 done, about 3 min left"
+    pace.done(140.0)
+    assert pace.left_s == pytest.approx(60 * 150 / 50)
+    pace.ran(390.0)
+    pace.done(400.0)
     assert pace.text() == "3 of 3 done"
+    assert progress.Pace([], {}).left_s == 0
 
 
 def test_durations_are_short_texts():

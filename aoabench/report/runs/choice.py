@@ -27,7 +27,7 @@ class Choice:
     """A kind of figure: `metric`; `by`, the column with a colour for each of its values; `over`,
     the swept parameters on the axes; `panels`, the columns with a panel for each combination of
     their values; `baseline`, the estimator of the x axes of pairs; `others`, the other kinds that
-    fit.
+    fit; `left_out`, the sentence about panels that are not drawn, "" if all are.
     """
 
     kind: str
@@ -37,6 +37,7 @@ class Choice:
     panels: tuple[str, ...]
     baseline: str | None
     others: tuple[str, ...]
+    left_out: str = ""
 
 
 def choose(source: Source, asked: Asked, fixes: bool, steps: bool) -> Choice:

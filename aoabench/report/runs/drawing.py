@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from aoabench.report.runs import courses, distribution, footer, look, swept, values
@@ -12,7 +12,8 @@ from aoabench.report.runs.choice import Asked, Choice, choose
 from aoabench.report.runs.kinds import DISTRIBUTIONS
 from aoabench.report.runs.look import Words
 from aoabench.report.runs.metrics import ERRORS, label, mean_label
-from aoabench.report.runs.source import Source, read
+from aoabench.report.runs.scale import ScaleOf, scale_text
+from aoabench.report.runs.source import TAG, Source, read
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,23 +33,39 @@ class Drawing:
 
 
 def prepare(
-    source: str | os.PathLike[str] | pd.DataFrame, asked: Asked, where: Sequence[str] = ()
+    source: str | os.PathLike[str] | pd.DataFrame,
+    asked: Asked,
+    where: Sequence[str] = (),
+    scale_of: ScaleOf | None = None,
 ) -> Drawing:
-    """Read a run, decide what its figure shows (see `choice.choose`), and compute the numbers.
+    """Read a run, decide what its figure shows (see `choice.choose`), and compute the numbers; of
+    more than look.MOST_PANELS panels, of the first ones.
 
     Raises UserError for a folder, condition, kind, metric or column that does not fit, and RunError
     for torn tables.
     """
-    found = read(source, where)
+    found = read(source, where, by_tag=TAG in (asked.by, *asked.over))
     choice = choose(found, asked, *_stored(found))
     shown = values.shown(found, choice)
-    places = {one.panel for one in shown}, {one.group for one in shown}
-    look.check_size(len(places[0]), len(places[1]), choice.panels, choice.by)
-    if choice.kind in DISTRIBUTIONS:
-        return _distribution(found, choice)
-    if choice.kind == "time":
-        return _time(found, choice)
-    return _pairs(found, choice) if choice.kind == "pairs" else _swept(found, choice)
+    panels = list(dict.fromkeys(one.panel for one in shown))
+    if choice.kind != "pairs":
+        shown = [one for one in shown if one.panel in panels[: look.MOST_PANELS]]
+        found = found.kept({(one.cell, one.estimator) for one in shown})
+        choice = _limited(choice, len(panels), choice.panels)
+    look.check_groups(len({one.group for one in shown}), choice.by)
+    found = replace(found, scale=scale_text(found, scale_of))
+    return _DRAWN[choice.kind](found, choice)
+
+
+def _limited(choice: Choice, panels: int, names: Sequence[str]) -> Choice:
+    """The choice, which says so if there are more panels than look.MOST_PANELS; they differ in the
+    columns `names`.
+    """
+    if panels <= look.MOST_PANELS:
+        return choice
+    first = f"{look.MOST_PANELS} of {panels} panels are drawn"
+    how = f"choose others with where KEY=VALUE[,VALUE], KEY one of {', '.join(names)}"
+    return replace(choice, left_out=f"{first}; {how}.")
 
 
 def plot(
@@ -77,11 +94,12 @@ def plot(
 
 def _stored(source: Source) -> tuple[bool, bool]:
     """Whether the error of every fix of every estimator is stored, and whether all steps are."""
-    if source.out is None or source.summary is None:
+    if source.out is None:
         return False, False
     pairs = source.pairs()[["cell", "estimator"]].itertuples(index=False)
     steps = all(source.entries[cell][name]["steps"] for cell, name in pairs)
-    return steps or bool((source.summary["se_by"] == "position").all()), steps
+    by = None if source.summary is None else source.summary["se_by"]
+    return steps or (by is not None and bool((by == "position").all())), steps
 
 
 def _distribution(source: Source, choice: Choice) -> Drawing:
@@ -96,6 +114,7 @@ def _distribution(source: Source, choice: Choice) -> Drawing:
         footer.MARKS[choice.kind].format(units=footer.units(source, choice.metric)),
         *footer.axis(log, *values.outside(found, ends), choice.kind == "cdf"),
         *footer.without(table, "fixes" if fixes else "replications"),
+        *footer.left_out(choice),
     ]
     name = label(choice.metric)
     words = Words(name, "", _title(choice), lines)
@@ -115,6 +134,7 @@ def _swept(source: Source, choice: Choice) -> Drawing:
     table = values.means(source, choice)
     name = mean_label(choice.metric)
     lines = [*footer.about(source), *footer.without(table, "replications")]
+    lines += footer.left_out(choice)
     if choice.kind == "curve":
         bars = footer.MARKS["curve"].format(units=footer.units(source, choice.metric))
         lines[1:1] = [bars, *footer.bars(table)]
@@ -130,19 +150,33 @@ def _time(source: Source, choice: Choice) -> Drawing:
     table = values.courses(source, choice)
     timed, apart = bool(table["timed"].all()), bool((table["track"] >= 0).any())
     lines = [*footer.about(source), footer.over_time(apart, int(table["steps"].max()))]
+    lines += footer.left_out(choice)
     words = Words("time [s]" if timed else "step", label(choice.metric), _title(choice), lines)
     shown = table.drop(columns=["timed", "steps", *([] if apart else ["track"])])
     return Drawing(choice, shown, lines, lambda: courses.time(table, words))
 
 
 def _pairs(source: Source, choice: Choice) -> Drawing:
-    """Replications of two estimators."""
+    """Replications of two estimators, which have a panel for each cell and other estimator."""
     points, table = values.paired(source, choice)
+    choice = _limited(choice, len(table), ("estimator", *choice.panels))
+    table = table.head(look.MOST_PANELS)
+    points = points[points["panel"].isin(table["panel"])]
     base, name = table["baseline"].iloc[0], label(choice.metric)
     units = footer.units(source, choice.metric)
     lines = [*footer.about(source), footer.MARKS["pairs"].format(base=base, units=units)]
+    lines += footer.left_out(choice)
     words = Words(f"{base}: {name}", f"other estimator: {name}", "", lines)
     return Drawing(choice, table, lines, lambda: courses.pairs(points, table, words))
+
+
+_DRAWN = {
+    **dict.fromkeys(DISTRIBUTIONS, _distribution),
+    "curve": _swept,
+    "heatmap": _swept,
+    "time": _time,
+    "pairs": _pairs,
+}
 
 
 def _title(choice: Choice) -> str:

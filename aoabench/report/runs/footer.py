@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from aoabench.report.runs.choice import Choice
 from aoabench.report.runs.look import HEAVY
+from aoabench.report.runs.metrics import ERRORS
 from aoabench.report.runs.source import Source, ordered, value_text
 from aoabench.store.clusters import CLUSTERED
 
@@ -36,11 +38,13 @@ def about(source: Source, fixes: pd.DataFrame | None = None) -> list[str]:
     frame = source.frame
     counts = frame.groupby(["cell", "estimator"]).size()
     several = frame["cell"].nunique() > 1
+    place = "tag" if source.tracks else "cell"
     many = f" ({_span(fixes['of'])} fixes)" if fixes is not None else ""
-    each = "each estimator and cell" if several else "each estimator"
+    each = f"each estimator and {place}" if several else "each estimator"
     recorded = source.recorded == "recorded"
     noun = ("track" if recorded else "replication") + ("" if counts.max() == 1 else "s")
-    parts = [f"N = {_span(counts)} {noun}{many} of {each}", source.recorded]
+    parts = [f"N = {_span(counts)} {noun}{many} of {each}"]
+    parts += [source.scale, source.recorded] if source.scale else [source.recorded]
     for name in ("experiment",) if recorded else ("scenario", "noise", "seed", "experiment"):
         values = [value_text(value) for value in ordered(frame[name])]
         if len(values) <= _MOST_VALUES and values != ["null"]:
@@ -56,6 +60,8 @@ def _span(counts: pd.Series) -> str:
 def units(source: Source, metric: str) -> str:
     """What the intervals of a metric take as independent units."""
     own = metric in source.frame and metric not in CLUSTERED
+    if source.tracks and metric in ERRORS:
+        return "clustered by position"
     if source.summary is None or own or metric.startswith("rmse_q50"):
         return "over replications"
     by = set(source.summary["se_by"])
@@ -99,6 +105,11 @@ def bars(means: pd.DataFrame) -> Iterator[str]:
     lack = int((~known & np.isfinite(means["value"].to_numpy(dtype=float))).sum())
     if lack:
         yield f"{lack} of {len(means)} points have no interval: too few replications."
+
+
+def left_out(choice: Choice) -> list[str]:
+    """The sentence about panels that are not drawn, if any."""
+    return [choice.left_out] if choice.left_out else []
 
 
 def without(table: pd.DataFrame, what: str) -> Iterator[str]:

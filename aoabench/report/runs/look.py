@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -60,17 +61,13 @@ class Sheet:
         }
 
 
-def check_size(panels: int, groups: int, names: Sequence[str], by: str) -> None:
-    """Raise UserError for more panels or colours than a reader can tell apart."""
-    for count, most, word, which in (
-        (panels, MOST_PANELS, "panels", ", ".join(names)),
-        (groups, MOST_GROUPS, "colours", by),
-    ):
-        if count > most:
-            raise UserError(
-                f"{count} {word} for the values of {which}: at most {most} are drawn; choose some "
-                "values with where KEY=VALUE[,VALUE]"
-            )
+def check_groups(groups: int, by: str) -> None:
+    """Raise UserError for more colours than a reader can tell apart."""
+    if groups > MOST_GROUPS:
+        raise UserError(
+            f"{groups} colours for the values of {by}: at most {MOST_GROUPS} are drawn; choose "
+            "some values with where KEY=VALUE[,VALUE]"
+        )
 
 
 def sheet(
@@ -95,10 +92,20 @@ def sheet(
         axis.set_title("\n".join(textwrap.wrap(title, 34 if cols > 1 else 60)), loc="left")
         last = i + cols >= len(titles)
         axis.tick_params(labelbottom=last)
-        axis.set_xlabel(words.x if last else "")
-        axis.set_ylabel(words.y if i % cols == 0 else "")
+        axis.set_xlabel(broken(words.x, 34 if cols > 1 else 60) if last else "")
+        axis.set_ylabel(broken(words.y, 34) if i % cols == 0 else "")
     figure.supxlabel("\n".join(footer), x=0.01, ha="left", fontsize=6, color=plots.GREY)
     return Sheet(figure, dict(zip(titles, axes.ravel())), names)
+
+
+def broken(text: str, most: int) -> str:
+    """The text in lines of at most `most` letters, if spaces and the dots of a key allow it."""
+    lines = [""]
+    for word in re.findall(r"[^. ]+[. ]*|[. ]+", text):
+        if lines[-1] and len(lines[-1] + word.rstrip()) > most:
+            lines.append("")
+        lines[-1] += word
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def _room(names: Sequence[str]) -> tuple[float, float, float]:

@@ -77,7 +77,9 @@ def estimates(source: Source, metric: str) -> pd.DataFrame:
         keys = zip(source.summary["cell"], source.summary["estimator"])
         stored = dict(zip(keys, source.summary.to_dict("records")))
     elif metric in SUMMARIES:
-        raise UserError(f"metric={metric}: a frame does not hold it; allowed: a run's folder")
+        why = "it is one number for all tags; allowed: a figure that does not tell tags apart"
+        why = why if source.tracks else "a frame does not hold it; allowed: a run's folder"
+        raise UserError(f"metric={metric}: {why}")
     rows = []
     for (cell, name), mine in source.frame.groupby(["cell", "estimator"], sort=False):
         three = _three(source, metric, stored.get((cell, name)), mine)

@@ -82,7 +82,8 @@ def distributions(source: Source, choice: Choice) -> list[tuple[Shown, FixErrors
         if choice.metric in ERRORS:
             assert source.out is not None
             axis = choice.metric.split("_")[1]
-            errors = fix_errors(source.out, source.entries[one.cell][one.estimator], axis)
+            tracks = source.tracks.get(one.cell)
+            errors = fix_errors(source.out, source.entries[one.cell][one.estimator], axis, tracks)
             assert errors is not None, "choose() was told that all fixes are stored"
         else:
             values = rows[one.cell, one.estimator][choice.metric].to_numpy(dtype=float)[:, None]
@@ -194,7 +195,12 @@ def courses(source: Source, choice: Choice) -> pd.DataFrame:
         timed = bool(frame["time_s"].notna().all())
         start = frame["time_s"].min() if one.cell in recorded else 0.0
         at = frame["time_s"] - start if timed else frame["step"].astype(float)
-        apart = one.cell in recorded and frame["replication"].nunique() > 1
+        tracks = source.tracks.get(one.cell)
+        if tracks is not None:
+            mine = frame["replication"].isin(tracks)
+            at, frame = at[mine], frame[mine]
+        several = frame["replication"].nunique() > 1
+        apart = one.cell in recorded and (several or tracks is not None)
         frame["track"] = frame["replication"] if apart else -1
         frame["x"], steps = _spans(at.to_numpy())
         each = frame.groupby(["track", "x"])["error"]
@@ -263,7 +269,7 @@ def _changes(source: Source, base: str, metric: str) -> dict[tuple[str, str], di
     """The change against the baseline with its interval and unit, by cell and other estimator."""
     names = ("change", "change_low", "change_high", "unit")
     keep = {(one["cell"], one["estimator"]) for one in source.pairs().to_dict("records")}
-    if source.out is not None:
+    if source.out is not None and not source.tracks:
         table = compare(source.out, base, metric).to_dict("records")
         found = {(r["cell"], r["estimator"]): {n: r[n] for n in names} for r in table}
         return {k: v for k, v in found.items() if k in keep and (k[0], base) in keep}

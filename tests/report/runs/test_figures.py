@@ -242,15 +242,58 @@ def test_thirty_estimators_have_room(frame, kind):
     assert len(names(figure)) == (30 if kind in ("curve", "cdf") else 0)
 
 
-def test_too_many_panels_or_colours_are_one_line(frame):
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("mean RMSE 3-D [m]", ["mean RMSE 3-D [m]"]),
+        ("estimator.df_area_of_ties.azimuth_sigma [deg]", ["estimator.df_area_of_ties.", "azimuth_sigma [deg]"]),
+        ("x" * 50, ["x" * 50]),
+        ("a 3.5 ..b ", ["a 3.5 ..b"]),
+        ("", [""]),
+    ],
+)  # fmt: skip
+def test_long_labels_are_broken_at_spaces_and_dots(text, lines):
+    assert look.broken(text, 30).splitlines() == (lines if text else [])
+
+
+def test_labels_of_neighbouring_panels_do_not_meet(frame):
+    name = "estimator.an_estimator_of_mine.azimuth_sigma_deg"
+    figure = plot(frame({"a": [1.0, 2.0]}, **{name: [1, 2]}, noise=list("abc")), over=name)
+    labels = [axis.xaxis.label.get_window_extent() for axis in panels(figure).values()]
+    assert all(one.x1 < other.x0 for one, other in zip(labels, labels[1:]))
+
+
+def test_too_many_colours_are_one_line(frame):
     values = {f"e{i}": [1.0, 2.0] for i in range(41)}
     with pytest.raises(UserError, match="41 colours for the values of estimator: at most 40 are"):
         plot(frame(values))
+
+
+@pytest.mark.parametrize("kind", ["cdf", "box", "violin", "curve", "heatmap", "pairs"])
+def test_of_too_many_panels_the_first_are_drawn_and_the_foot_says_so(frame, kind):
+    swept = {"noise": list("abcdefghijklm"), "x": [1, 2], "y": [1, 2]}
+    number = {"curve": 2, "heatmap": 3}.get(kind, 1)
+    whole = frame({"a": [1.0, 2.0], "b": [2.0, 1.0]}, **dict(list(swept.items())[:number]))
+    given = ["estimator=a"] if kind == "heatmap" else []
+    figure = plot(
+        whole, kind, over={"curve": "x", "heatmap": ["x", "y"]}.get(kind, ()), where=given
+    )
+    assert len(panels(figure)) == 12
+    said = "12 of 13 panels are drawn; choose others with where KEY=VALUE[,VALUE], KEY one of "
+    assert said + ("estimator, noise." if kind == "pairs" else "noise.") in footer(figure)
+    figure = plot(whole, kind, where=[*given, "noise=m,l"])
+    assert "panels are drawn" not in footer(figure)
+    (last,) = [title for title in panels(figure) if title.endswith("m")]
+    assert last
+
+
+def test_panels_that_do_not_fit_are_not_read(frame):
+    """The axes and the table are those of the panels that are drawn."""
     whole = frame({"a": [1.0, 2.0]}, noise=list("abcdefghijklm"))
-    with pytest.raises(
-        UserError, match="13 panels for the values of noise: at most 12 are drawn; "
-    ):
-        plot(whole)
+    whole.loc[whole["noise"] == "m", "rmse_3d_m"] = 1e9
+    table = prepare(whole, Asked("box")).table
+    assert len(table) == 12
+    assert table["maximum"].max() == 2
 
 
 def test_the_figure_is_not_pyplot_s(frame):
