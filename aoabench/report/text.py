@@ -51,7 +51,8 @@ def interval_parts(value: float, low: float, high: float, digits: int = 2) -> tu
         return "", ""
     half = (high - low) / 2
     if half != half or half <= 1e-12 * abs(value):
-        return f"{value:.{digits + 2}g}", ""
+        whole = float(value).is_integer() and abs(value) < 1e6  # a count, say
+        return f"{value:.0f}" if whole else f"{value:.{digits + 2}g}", ""
     if half >= 1e6:
         four = digits + 2
         return f"{value:.{four}g}", f"[{low:.{four}g}, {high:.{four}g}]"

@@ -206,7 +206,7 @@ def _flips(claim: Claim, word: str, ends: tuple[float, float], where: str = "") 
     """
     if claim.kind != "statement" or claim.chosen == "paper":
         return ""
-    low, high = (f"{end:.3g} {claim.unit}".rstrip() for end in ends)
+    low, high = (f"{significant(end, 3)} {claim.unit}".rstrip() for end in ends)
     limits = claim.limits(0.0)
     holds = ("holds" if word == HOLDS else "would hold") + where
     if math.isinf(limits.high):

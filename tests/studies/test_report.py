@@ -171,6 +171,11 @@ def test_numbers_show_the_digits_that_their_errors_support(value, se, text):
     assert number_text(value, se) == text
 
 
+def test_a_count_without_error_has_all_its_digits():
+    texts = {27648.0: "27648", -3.0: "-3", 0.0: "0", 2.25: "2.25", np.inf: "inf"}
+    assert {value: interval_text(value, value, value) for value in texts} == texts
+
+
 def test_significant_digits_without_an_exponent():
     given = {1665.369: "1670", 0.0001236: "0.000124", 9.996: "10", -1203.0: "-1200", 0.0: "0"}
     assert {value: significant(value, 3) for value in given} == given
