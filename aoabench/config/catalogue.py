@@ -12,7 +12,7 @@ from aoabench.config.every import SMOOTHER, variant_of
 from aoabench.config.messages import explained
 from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
-from aoabench.config.presets import GROUPS, LISTS, options, own_options, variants
+from aoabench.config.presets import GROUPS, LISTS, options, own_options, unread, variants
 from aoabench.errors import BadValue, UserError, did_you_mean
 from aoabench.params import allowed, key_of
 from aoabench.roles import Estimator, Noise, Scenario
@@ -35,29 +35,32 @@ def group_of(name: str, config_dir: str | None = None) -> str:
     found = {preset: group for group in GROUPS for preset in options(group, config_dir)}
     if name not in found:
         known = [*GROUPS, *found]
+        own = "".join(unread(group, name) for group in GROUPS)
         hint = did_you_mean(name, known) or f"; allowed: {', '.join(GROUPS)}, or a preset"
-        raise UserError(f"{name!r}: no such group or preset{hint}")
+        raise UserError(f"{name!r}: no such group or preset{own or hint}")
     return found[name]
 
 
-def parameters(name: str, config_dir: str | None = None) -> list[Parameter]:
+def parameters(
+    name: str, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> list[Parameter]:
     """The parameters of a preset of a scenario, noise, filter or estimator, nested ones too."""
     from hydra import compose
 
     group = group_of(name, config_dir)
     with hydra_initialised(config_dir), explained((), config_dir):
         chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
-        whole = plain_nodes(compose("config", overrides=[chosen]), Speller())
+        whole = plain_nodes(compose("config", overrides=[chosen]), Speller(plugins))
     node = whole[group][name] if group in LISTS else whole[group]
-    return list(_walk(node, f"{group}.{name}" if group in LISTS else group))
+    return list(_walk(node, f"{group}.{name}" if group in LISTS else group, plugins))
 
 
-def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
-    cls = resolve(node["_target_"], path) if "_target_" in node else None
+def _walk(node: Mapping[str, Any], path: str, plugins: Sequence[str]) -> Iterator[Parameter]:
+    cls = resolve(node["_target_"], path, plugins) if "_target_" in node else None
     known = {key_of(f): f for f in dataclasses.fields(cls)} if cls else {}
     for key, value in node.items():
         if isinstance(value, dict):
-            yield from _walk(value, f"{path}.{key}")
+            yield from _walk(value, f"{path}.{key}", plugins)
         elif key != "_target_":
             meta = known[key].metadata.get("param") if key in known else None
             about = (meta.unit, meta.help, allowed(known[key])) if meta else ("", "", "")
