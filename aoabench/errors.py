@@ -24,8 +24,9 @@ def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6, path: str
 
     `path` is the text before the proposed name.
     """
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
-    return f"; did you mean {path + close[0]!r}?" if close else ""
+    names = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower(), list(names), n=1, cutoff=cutoff)
+    return f"; did you mean {path + names[close[0]]!r}?" if close else ""
 
 
 def near_file(path: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from aoabench.cli.common import Command, echo, json_option, print_json, wrapped
-from aoabench.config.presets import GROUPS, options
+from aoabench.config.presets import GROUPS, LISTS, options
 from aoabench.errors import UserError
 
 if TYPE_CHECKING:
@@ -62,15 +62,16 @@ def list_presets(
       aoabench list
       aoabench list filter
       aoabench list noise            (a group)
-      aoabench list ofdm_crlb        (a preset: its source, what it needs or offers, its keys)
+      aoabench list ofdm_crlb        (a preset: source, needs, what runs with it, keys)
       aoabench list until            (keys of a run)
       aoabench list noise.sigma_deg  (a key, in each preset that has it)
       aoabench list --fits ble_room
       aoabench list my_noise --config-dir conf 'plugins=[my_noise]'   (of your own)
 
     With --json: `groups`, an object with an object {preset: description} for each group; of a
-    preset `parameters`, each with key, value, unit, help and allowed; with --fits `fits`, an
-    object {estimator: [noises]} for each group.
+    preset `parameters`, each with key, value, unit, help and allowed, and `fits`: of a filter or
+    estimator {scenario: [noises]}, of a scenario {group: [estimators]}, of a noise {"scenario":
+    [scenarios]}; with --fits `fits`, an object {estimator: [noises]} for each group.
     """
     if config_dir and not Path(config_dir).is_dir():
         raise UserError(f"--config-dir={config_dir}: no such folder; allowed: an existing folder")
@@ -150,9 +151,10 @@ def _print_preset(
     from aoabench.config import about
 
     found = about.about(name, config_dir, plugins)
+    fits = about.fits(found, config_dir)
     if as_json:
         rows = [p._asdict() for p in found.parameters]
-        print_json({**found._asdict(), "parameters": rows})
+        print_json({**found._asdict(), "parameters": rows, "fits": fits})
         return
     echo(f"{found.group}={name}: {found.description}")
     lines = {
@@ -160,6 +162,7 @@ def _print_preset(
         "source": found.source,
         "needs": "; ".join(map(about.need_text, found.needs)),
         "offers": ", ".join(found.offers or []),
+        "runs with" if found.group in GROUPS[:4] else "": _fits_text(found.group, fits),
         f"not in {found.group}=all": found.not_in_all,
         "example": found.example,
     }
@@ -168,6 +171,18 @@ def _print_preset(
             echo(wrapped(f"  {head}: {text}", 4))
     for one in found.parameters:
         _print_parameter(one)
+
+
+def _fits_text(group: str, fits: dict[str, list[str]]) -> str:
+    """The presets of `about.fits`; of a filter or estimator the scenarios with the same noises
+    together.
+    """
+    if group not in LISTS:
+        return "; ".join(f"{key}={','.join(names)}" for key, names in fits.items())
+    places: dict[str, list[str]] = {}
+    for scenario, noises in fits.items():
+        places.setdefault(",".join(noises), []).append(scenario)
+    return "; ".join(f"scenario={','.join(s)} noise={noises}" for noises, s in places.items())
 
 
 def _print_parameter(one: Parameter) -> None:

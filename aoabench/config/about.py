@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from aoabench.config import catalogue
 from aoabench.config.adopt import as_estimator, as_noise, as_scenario
 from aoabench.config.catalogue import Parameter, composed, group_of, parameters
 from aoabench.config.every import SMOOTHER, variant_of
@@ -22,13 +23,17 @@ from aoabench.roles import NEEDS, Estimator
 
 _PLUGGED = ("scenario", "noise", *LISTS)
 _PLACES = ((), ("noise=ofdm_crlb",), ("scenario=ble_room", "noise=ble_multipath"))
+_CITED = re.compile(r"\[([A-Z][^\[\]\d]*\s\d{4}(?:[,;][^\[\]]*)?)\]")  # [Le 2021, IV-B]
 _LINE = re.compile(r"( *)(\w+): *([^#]*?) *(?:# *(.*))?")
 
 
 class About(NamedTuple):
     """A preset: its group, name and description; a command that uses it; its keys; its class, and
-    the first paragraphs of class and module; names of NEEDS that it needs or offers; why `all`
-    leaves it out, "" if it does not.
+    the first paragraph of its docstring; its source; names of NEEDS that it needs or offers; why
+    `all` leaves it out, "" if it does not.
+
+    source: the paper with its section or equations, if the docstrings of class or module name one,
+    else the file of the class.
     """
 
     group: str
@@ -72,7 +77,7 @@ def about(name: str, config_dir: str | None = None, plugins: Sequence[str] = ())
         parameters(name, config_dir, plugins),
         target=node["_target_"],
         what=_first(inspect.getdoc(cls)),
-        source=_first(inspect.getdoc(inspect.getmodule(cls))),
+        source=_source(cls),
         needs=wants.needs,
         offers=wants.offers,
         not_in_all=variant_of(words) if words else "" if wants.causal else SMOOTHER,
@@ -186,6 +191,32 @@ def need_text(need: str) -> str:
 def _first(text: str | None) -> str:
     """The first paragraph of a docstring, on one line."""
     return " ".join((text or "").partition("\n\n")[0].split())
+
+
+def _source(cls: type) -> str:
+    """The papers that a class or its module names, with section or equations, else its file."""
+    module = inspect.getmodule(cls)
+    for text in (cls.__doc__, inspect.getdoc(module)):
+        found = [" ".join(one.split()) for one in _CITED.findall(text or "")]
+        if found:
+            return "; ".join(dict.fromkeys(found))
+    return f"{cls.__module__.replace('.', '/')}.py"
+
+
+def fits(found: About, config_dir: str | None = None) -> dict[str, list[str]]:
+    """Presets that run with this one. Of a filter or estimator: scenario -> noises; of a scenario:
+    group -> filters or estimators; of a noise: "scenario" -> scenarios. Nothing for other groups,
+    and where a preset cannot be built as it is, such as a recording without its file.
+    """
+    try:
+        if found.group in LISTS:
+            return catalogue.fitting_places(found.group, found.preset, config_dir)
+        if found.group == "noise":
+            return {"scenario": catalogue.scenarios_of(found.preset, config_dir)}
+        whole = catalogue.fitting(found.preset, config_dir) if found.group == "scenario" else {}
+    except UserError:
+        return {}
+    return {group: list(names) for group, names in whole.items() if names}
 
 
 def _example(chosen: str, *more: str) -> str:

@@ -87,7 +87,7 @@ def residual_lines(found: Residuals, ids: Sequence[str], sense: str) -> Iterator
         yield (
             f"large residuals of anchor {ids[b]}: its azimuths differ by {middle:.0f} deg from the "
             f"fixes (median; other anchors {rest:.2g} deg): is its facing_deg right, and does it "
-            "see the tag?"
+            "see the tag? estimator.robust_ml.loss=truncated locates without it"
         )
     many, most = len(azimuth) >= _FEW, np.quantile(np.abs(azimuth), 0.9)
     if many and most > LARGE_DEG and (not large or np.median(np.abs(azimuth)) > LARGE_DEG):

@@ -9,7 +9,7 @@ from typing import Any
 
 from aoabench.errors import RunError
 from aoabench.maths.intervals import normal_quantile
-from aoabench.report.text import interval_text
+from aoabench.report.text import interval_text, significant
 from aoabench.store.files import read_provenance, read_table, write_atomically
 from aoabench.studies import dots, findings, sections
 from aoabench.studies.claims import CLASSES, Claim
@@ -133,7 +133,7 @@ def _records(frame: Any) -> list[Row]:
     for row in rows:
         row["ours_text"] = interval_text(row["ours"], row["low"], row["high"])
         row["ours_sort"] = "" if row["ours"] != row["ours"] else f"{row['ours']:.6g}"
-        least = f"{row['shows']:.2g} {row['unit']}".rstrip()
+        least = f"{significant(row['shows'], 2)} {row['unit']}".rstrip()
         row["power"] = f"this N shows a difference of {least}" if row["shows"] > 0 else ""
     return rows
 

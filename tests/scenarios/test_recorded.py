@@ -101,6 +101,30 @@ def test_names_of_columns_and_formats_do_not_matter(here):
             np.testing.assert_array_equal(getattr(s.recorded, name), getattr(read().recorded, name))
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        "FIX,ANCHOR,AZIMUTH_DEG,ELEVATION_DEG,RSSI_DBM,X_M,Y_M,Z_M",
+        "Fix,Anchor,Azimuth (deg),Elevation [\u00b0],RSSI/dBm,x (m),y (m),z (m)",
+    ],
+)
+def test_default_names_in_other_case_and_with_other_marks(names, here):
+    own, rows = Path("log.csv").read_text().split("\n", 1)
+    assert own.count(",") == names.count(",")
+    found = read(f"{names}\n{rows}", path="other.csv")
+    for name in ("azimuth", "elevation", "rssi"):
+        np.testing.assert_array_equal(getattr(found.recorded, name), getattr(read().recorded, name))
+    np.testing.assert_array_equal(found.truth(None), read().truth(None))
+
+
+def test_names_that_differ_in_case_alone_are_not_chosen_among(here):
+    log = "Fix,fix,Azimuth_deg,AZIMUTH_DEG,anchor\n1,7,5,6,a1\n"
+    with pytest.raises(UserError, match=r"columns\.azimuth=None .*did you mean"):
+        read(log)
+    found = read(log.replace("AZIMUTH_DEG", "other"))
+    assert list(found.tracks.fix) == ["7"]
+
+
 def test_ids_are_texts(here):
     Path("anchors.csv").write_text("id,x_m,y_m\n007,0,0\n1E5,1,0\n7,2,0\n")
     s = read("fix,anchor,azimuth_deg\n1,007,1\n1, 1E5 ,2\n1,7,3\n")

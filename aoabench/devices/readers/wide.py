@@ -4,7 +4,7 @@
 and its columns are called as below, in any order; a word or unit may be absent. Where no column
 orders the rows, each row is a fix.
 
-    azimuth_deg_A1   azimuth_A1_deg   A1_azimuth_deg   (and elevation, rssi, range, ..._sigma, and of
+    azimuth_deg_A1   azimuth_A1_deg   A1_azimuth_deg   (and elevation, rssi, range, ..._sigma; of
                                                        anchors that move anchor_x, anchor_lat, ...)
 """
 

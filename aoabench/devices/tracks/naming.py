@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from aoabench.devices.readers.columns import shown_columns
+from aoabench.devices.readers.columns import found_column, shown_columns
 from aoabench.devices.readers.reading import FILE, Content
 from aoabench.devices.readers.wide import Wide
 from aoabench.devices.tracks.log import Conventions
@@ -40,14 +40,13 @@ def chosen_columns(
 ) -> dict[str, str]:
     """Map aoabench's column names to those of the file with `columns`, for the columns to read.
 
-    A column has its name in `named`, or else the first of its default names that the file has.
+    A column has its name in `named`, or else the first of its default names that the file has, in
+    upper or lower case and with any marks: `Azimuth (deg)` is azimuth_deg.
     Raises BadValue if a named or required column is missing, or occurs twice. A fix, a sequence
     number or a time is always required; x and y are required if one of x, y, z is read.
     """
     chosen = {
-        ours: next((one for one in defaults[ours] if one in columns), None)
-        if name is None
-        else name
+        ours: found_column(defaults[ours], columns) if name is None else name
         for ours, name in named.items()
     }
     grouped = any(chosen[ours] for ours in ("fix", "sequence", "anchor_time"))
@@ -95,7 +94,7 @@ def _no_column(
 def unread(content: Content, chosen: Mapping[str, str], path: object) -> list[str]:
     """A line with the columns of a table that are not read, else an empty list."""
     known = {*chosen.values(), FILE, *EXPECTED}
-    left = [name for name in content.columns if name not in known]
+    left = [name for name in content.columns if name and name not in known]
     if not left or content.stated or isinstance(content, Wide):
         return []
     return [f"{path}: columns that are not read: {listed(left)}"]
