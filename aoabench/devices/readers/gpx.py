@@ -39,7 +39,7 @@ def from_gpx(text: bytes, path: str) -> Rows:
     columns = {"lat_deg": [p.get("lat") for p in points], "lon_deg": [p.get("lon") for p in points]}
     if any("time" in one for one in within):
         columns["time"] = [one.get("time") for one in within]
-    notes = ()
+    notes: tuple[str, ...] = ()
     if any("ele" in one for one in within):
         notes = (f"{path}: heights (ele) are not read, because they count from the sea",)
     frame = pd.DataFrame(columns, dtype=object)
