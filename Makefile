@@ -77,7 +77,7 @@ lint: $(READY)
 
 docs: $(VENV)/.docs
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f .ci/mkdocs.yml
-	@echo "the site is results/draft/site/index.html; with its search: $(BIN)/python -m http.server -d results/draft/site"
+	@echo "the site is results/draft/site/index.html"
 
 $(VENV)/.docs: $(READY) .ci/docs.lock
 	@echo "adding what builds the documentation ..."

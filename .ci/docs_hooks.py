@@ -29,10 +29,12 @@ from aoabench.studies import sections, stored, study
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+SEARCH = ROOT / ".ci" / "search_from_files.js"
 COPIED = "repository"  # the folder of the site with files from outside docs/
 
 _FENCE = re.compile(r"(^ *```.*?^ *```[^\n]*$)", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"(\]\()([^)\s#:]+)((?:#[^)\s]*)?\))")
+_SHIM = re.compile(r'<script src="https://unpkg\.com/iframe-worker/[^"]*"></script>')
 _PART = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
 
 
@@ -69,6 +71,24 @@ def _targets(page: Path) -> Iterable[Path]:
             target = (page.parent / found[2]).resolve()
             if target.is_relative_to(ROOT):
                 yield target
+
+
+def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
+    """The page of the site with our own script for its search from files (see `_searched`)."""
+    return _searched(output)
+
+
+def on_post_template(output_content: str, template_name: str, config: MkDocsConfig) -> str:
+    """The same for 404.html."""
+    return _searched(output_content) if template_name.endswith(".html") else output_content
+
+
+def _searched(html: str) -> str:
+    """A page of the plugin `offline` with the script SEARCH inside, in place of the one that
+    the plugin loads from another server.
+    """
+    own = f"<script>\n{SEARCH.read_text(encoding='utf-8')}</script>"
+    return _SHIM.sub(lambda _found: own, html)
 
 
 def _turned(found: re.Match[str], source: Path, here: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from aoabench.config.every import SMOOTHER, variant_of
 from aoabench.config.messages import explained
 from aoabench.config.nodes import hydra_initialised, plain_nodes, resolved
 from aoabench.config.plugins import Speller, construct, resolve
-from aoabench.config.presets import GROUPS, LISTS, options, own_options, variants
+from aoabench.config.presets import GROUPS, LISTS, options, own_options, unread, variants
 from aoabench.errors import BadValue, UserError, did_you_mean
 from aoabench.params import allowed, key_of
 from aoabench.roles import Estimator, Noise, Scenario
@@ -35,29 +35,32 @@ def group_of(name: str, config_dir: str | None = None) -> str:
     found = {preset: group for group in GROUPS for preset in options(group, config_dir)}
     if name not in found:
         known = [*GROUPS, *found]
+        own = "".join(unread(group, name) for group in GROUPS)
         hint = did_you_mean(name, known) or f"; allowed: {', '.join(GROUPS)}, or a preset"
-        raise UserError(f"{name!r}: no such group or preset{hint}")
+        raise UserError(f"{name!r}: no such group or preset{own or hint}")
     return found[name]
 
 
-def parameters(name: str, config_dir: str | None = None) -> list[Parameter]:
+def parameters(
+    name: str, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> list[Parameter]:
     """The parameters of a preset of a scenario, noise, filter or estimator, nested ones too."""
     from hydra import compose
 
     group = group_of(name, config_dir)
     with hydra_initialised(config_dir), explained((), config_dir):
         chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
-        whole = plain_nodes(compose("config", overrides=[chosen]), Speller())
+        whole = plain_nodes(compose("config", overrides=[chosen]), Speller(plugins))
     node = whole[group][name] if group in LISTS else whole[group]
-    return list(_walk(node, f"{group}.{name}" if group in LISTS else group))
+    return list(_walk(node, f"{group}.{name}" if group in LISTS else group, plugins))
 
 
-def _walk(node: Mapping[str, Any], path: str) -> Iterator[Parameter]:
-    cls = resolve(node["_target_"], path) if "_target_" in node else None
+def _walk(node: Mapping[str, Any], path: str, plugins: Sequence[str]) -> Iterator[Parameter]:
+    cls = resolve(node["_target_"], path, plugins) if "_target_" in node else None
     known = {key_of(f): f for f in dataclasses.fields(cls)} if cls else {}
     for key, value in node.items():
         if isinstance(value, dict):
-            yield from _walk(value, f"{path}.{key}")
+            yield from _walk(value, f"{path}.{key}", plugins)
         elif key != "_target_":
             meta = known[key].metadata.get("param") if key in known else None
             about = (meta.unit, meta.help, allowed(known[key])) if meta else ("", "", "")
@@ -111,6 +114,56 @@ def fitting_presets(
     return list(_that_fit(plain, place, errors))
 
 
+def fitting_places(group: str, name: str, config_dir: str | None = None) -> dict[str, list[str]]:
+    """By scenario, the noises with which a preset of a filter or estimator runs in it."""
+    places = _scenarios(config_dir)
+    found: dict[str, list[str]] = {}
+    for noise in options("noise", config_dir):
+        plain = composed([f"{group}=[{name}]", f"noise={noise}"], config_dir)
+        errors = as_noise(construct(plain["noise"], "noise"), "noise")
+        for scenario, place in places.items():
+            if (group, name) in _that_fit(plain, place, errors):
+                found.setdefault(scenario, []).append(noise)
+    return found
+
+
+def scenarios_of(noise: str, config_dir: str | None = None) -> list[str]:
+    """The scenarios in which a filter or estimator runs with a noise."""
+    plain = composed([f"noise={noise}", *_every_estimator(config_dir)], config_dir)
+    errors = as_noise(construct(plain["noise"], "noise"), "noise")
+    places = _scenarios(config_dir).items()
+    return [name for name, place in places if any(_that_fit(plain, place, errors))]
+
+
+def _scenarios(config_dir: str | None) -> dict[str, Scenario]:
+    """The scenarios that can be built from their presets alone."""
+    shipped = _shipped_scenarios()
+    return (
+        shipped | _built(own_options("scenario", config_dir), config_dir) if config_dir else shipped
+    )
+
+
+@cache
+def _shipped_scenarios() -> dict[str, Scenario]:
+    return _built(options("scenario"), None)
+
+
+def _built(names: Iterable[str], config_dir: str | None) -> dict[str, Scenario]:
+    """The scenarios with these names that can be built from their presets alone."""
+    from hydra import compose
+
+    with hydra_initialised(config_dir), explained((), config_dir):
+        each = {name: compose("config", overrides=[f"scenario={name}"]) for name in names}
+        nodes = {name: resolved(plain_nodes(cfg, Speller())) for name, cfg in each.items()}
+    found = {}
+    for name, plain in nodes.items():
+        try:
+            found[name] = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
+        except UserError:  # a recording needs the file that it is in
+            continue
+    return found
+
+
 def not_in_all(config_dir: str | None = None) -> dict[str, dict[str, str]]:
     """By group and name, the presets that `all` leaves out in every scenario, with the reason."""
     nodes = composed(_every_estimator(config_dir), config_dir)
@@ -138,32 +191,14 @@ def causal_estimators() -> set[str]:
 
 def fitting_noises(scenario: Scenario, estimator: Estimator) -> list[str]:
     """The shipped noises with which an estimator runs in this scenario."""
-    nodes = _shipped_nodes("noise")
+    nodes = {name: composed([f"noise={name}"])["noise"] for name in options("noise")}
     noises = {name: as_noise(construct(node, "noise"), "noise") for name, node in nodes.items()}
     return [name for name, noise in noises.items() if _fits(estimator, scenario, noise)]
 
 
 def fitting_scenarios(noise: Noise, estimator: Estimator) -> list[str]:
     """The shipped scenarios in which an estimator runs with this noise."""
-    found = []
-    for name, node in _shipped_nodes("scenario").items():
-        try:
-            scenario = as_scenario(construct(node, "scenario"), "scenario")
-        except UserError:  # a recording needs the file that it is in
-            continue
-        if _fits(estimator, scenario, noise):
-            found.append(name)
-    return found
-
-
-@cache
-def _shipped_nodes(group: str) -> dict[str, Any]:
-    """The config nodes of the shipped presets of a group by their names."""
-    from hydra import compose
-
-    with hydra_initialised():
-        nodes = {name: compose("config", overrides=[f"{group}={name}"]) for name in options(group)}
-    return {name: resolved(plain_nodes(cfg, Speller()))[group] for name, cfg in nodes.items()}
+    return [name for name, place in _scenarios(None).items() if _fits(estimator, place, noise)]
 
 
 @cache
@@ -193,7 +228,7 @@ def _that_fit(
 ) -> Iterator[tuple[str, str]]:
     """Group and name of each estimator of a config that fits."""
     for group in LISTS:
-        for name, node in plain[group].items():
+        for name, node in plain.get(group, {}).items():
             try:
                 estimator = as_estimator(construct(node, name), name)
             except BadValue:  # a model that is fitted to another kind of noise

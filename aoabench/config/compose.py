@@ -17,7 +17,7 @@ from aoabench.config.guard import refuse_hydra, refuse_unreadable
 from aoabench.config.job import Job
 from aoabench.config.messages import NotComposed, explain, explained
 from aoabench.config.nodes import hydra_initialised, resolved, with_defaults
-from aoabench.config.overrides import Setting, jobs, read
+from aoabench.config.overrides import Setting, jobs, read, refuse_two_ways
 from aoabench.config.plugins import Speller, parse_plugins
 from aoabench.config.presets import LISTS
 from aoabench.errors import Mistakes, UserError, shorten
@@ -97,6 +97,7 @@ def _checked(words: Sequence[str], sweep: bool) -> list[Setting]:
     `sweep`.
     """
     settings = read(words, sweep)
+    refuse_two_ways(settings)
     for setting in settings:
         refuse_hydra(setting)
         if setting.is_sweep and not sweep:

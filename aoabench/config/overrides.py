@@ -72,6 +72,22 @@ def read(words: Iterable[str], sweep: bool = True) -> list[Setting]:
     return [setting for setting in found if setting is not None]
 
 
+def refuse_two_ways(settings: Sequence[Setting]) -> None:
+    """Raise UserError for a group or key of a run to which a word adds with `+` and that another
+    word sets or adds to: Hydra would take one of them, or neither.
+    """
+    found: dict[str, list[Setting]] = {}
+    for setting in settings:
+        if "." not in setting.key and not setting.is_deletion:
+            found.setdefault(setting.key, []).append(setting)
+    for key, each in found.items():
+        if len(each) > 1 and any(setting.line.startswith("+") for setting in each):
+            names = dict.fromkeys(name for setting in each for name in leaves(setting.value))
+            one = f"one list, {key}=[{','.join(names)}]" if key in LISTS else "one of them"
+            words = " and ".join(shorten(setting.word) for setting in each)
+            raise UserError(f"{words}: {key} is set in two ways; allowed: {one}")
+
+
 def file_setting(key: str, path: object) -> str:
     """The override that sets `key` to one file or folder, whatever its name."""
     return f"{key}={quoted(str(path))}"

@@ -9,7 +9,7 @@ from typing import Any
 
 from aoabench.errors import RunError
 from aoabench.maths.intervals import normal_quantile
-from aoabench.report.text import interval_text
+from aoabench.report.text import interval_text, significant
 from aoabench.store.files import read_provenance, read_table, write_atomically
 from aoabench.studies import dots, findings, sections
 from aoabench.studies.claims import CLASSES, Claim
@@ -55,7 +55,7 @@ def write(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    rows = _rows(everything, verdicts)
+    rows = _rows(everything, verdicts, places)
     ordered = sorted(everything, key=lambda s: not s.claims)  # a leaderboard comes last
     html = environment.get_template("page.html.j2").render(
         coarse=any(s.scale == "quick" for s in _contents(everything, places)),
@@ -82,12 +82,15 @@ def _contents(everything: list[Study], places: Places) -> Iterator[Stored]:
             yield read(study, item, places.results)
 
 
-def _rows(everything: list[Study], verdicts: Verdicts) -> list[Row]:
-    """A row for each claim, with its readings, code, errata and anchor in the page."""
+def _rows(everything: list[Study], verdicts: Verdicts, places: Places) -> list[Row]:
+    """A row for each claim, with its readings, code, errata and anchor in the page, and the command
+    that computes its number again, at the scale of the stored table or that the claim needs.
+    """
     grouped: dict[tuple[str, str], list[Row]] = {}
     for row in _records(verdicts.readings):
         grouped.setdefault((row["study"], row["id"]), []).append(row)
     items = {(s.name, item.name): (s, item) for s in everything for item in s.items}
+    scales = {key: read(*pair, places.results).scale for key, pair in items.items()}
     claims = {(s.name, claim.id): claim for s in everything for claim in s.claims}
     rows = _records(verdicts.claims)
     for row in rows:
@@ -102,8 +105,8 @@ def _rows(everything: list[Study], verdicts: Verdicts) -> list[Row]:
         row["statement"] = row["class"] == "statement"
         row["printed_unit"] = "" if row["statement"] or not row["printed"] else row["unit"]
         row["plot"] = _plot(claims[row["study"], row["id"]], row)
-        scale = "quick" if item.judged_at == "any" else "paper"
-        row["command"] = sections.command(study, item, scale)
+        quick = item.judged_at == "any" and scales[study.name, item.name] != "paper"
+        row["command"] = sections.command(study, item, "quick" if quick else "paper")
     return rows
 
 
@@ -130,7 +133,7 @@ def _records(frame: Any) -> list[Row]:
     for row in rows:
         row["ours_text"] = interval_text(row["ours"], row["low"], row["high"])
         row["ours_sort"] = "" if row["ours"] != row["ours"] else f"{row['ours']:.6g}"
-        least = f"{row['shows']:.2g} {row['unit']}".rstrip()
+        least = f"{significant(row['shows'], 2)} {row['unit']}".rstrip()
         row["power"] = f"this N shows a difference of {least}" if row["shows"] > 0 else ""
     return rows
 

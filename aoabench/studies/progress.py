@@ -16,7 +16,7 @@ from aoabench.store.files import write_atomically
 from aoabench.studies.choice import Pair
 
 _UNKNOWN_S = 10.0  # expected of an item that was never timed
-_TRUSTED = 0.1  # share of all expected seconds for which these count as true, see Pace.left_s
+_TRUSTED = 0.25  # share of all expected seconds for which these count as true, see Pace.left_s
 
 
 def expected(scale: str) -> Mapping[str, float]:

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from aoabench.maths.estimate import Estimate
 from aoabench.maths.intervals import normal_quantile
+from aoabench.report.text import significant
 from aoabench.studies import stored, verdict
 from aoabench.studies.claims import CLASSES, Claim, Reading
 from aoabench.studies.study import Item, Study
@@ -104,14 +103,8 @@ def _read(claim: Claim, reading: Reading, ours: Numbers) -> dict[str, Any]:
     """The row of one reading of a claim."""
     row: dict[str, Any] = dict.fromkeys(READ, math.nan)
     row |= {"reading": reading.name, "robustness": reading.robustness, "unit": claim.unit}
-    row |= {
-        "table": claim.item,
-        "number": "",
-        "numbers": 0,
-        "verdict": NOT_JUDGED,
-        "flips": "",
-        "reason": "",
-    }
+    row |= {"table": claim.item, "numbers": 0, "verdict": NOT_JUDGED}
+    row |= dict.fromkeys(("number", "flips", "reason"), "")
     ids = reading.ids(ours.item_of)
     if not ids:
         return row | {"reason": ours.contents[claim.item].problem or NOT_COMPUTED}
@@ -198,10 +191,7 @@ def _undecided(ours: Estimate, found: verdict.Judgement, count: float, item: Ite
         return "on the limit" if found.more == math.inf else "unknown interval"
     if found.more <= 1:
         return "across the limit"
-    times, needed = (
-        np.format_float_positional(number, 2, fractional=False, trim="-")
-        for number in (found.more, found.more * count)
-    )
+    times, needed = (significant(number, 2) for number in (found.more, found.more * count))
     known = count == count and item.counts == "replications"
     count_text = f", N = {needed}" if known else ""
     study_count = count if math.isnan(item.paper_reps) else item.paper_reps
@@ -216,7 +206,7 @@ def _flips(claim: Claim, word: str, ends: tuple[float, float], where: str = "") 
     """
     if claim.kind != "statement" or claim.chosen == "paper":
         return ""
-    low, high = (f"{end:.3g} {claim.unit}".rstrip() for end in ends)
+    low, high = (f"{significant(end, 3)} {claim.unit}".rstrip() for end in ends)
     limits = claim.limits(0.0)
     holds = ("holds" if word == HOLDS else "would hold") + where
     if math.isinf(limits.high):

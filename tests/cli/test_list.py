@@ -3,10 +3,11 @@
 import json
 import shlex
 
+import pytest
 import yaml
 
 from aoabench.cli.common import wrapped
-from aoabench.config import about, compose
+from aoabench.config import about, catalogue, compose
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import GROUPS, options
 from aoabench.maths.digest import flatten
@@ -48,7 +49,7 @@ def test_a_preset_with_source_needs_and_an_example_that_runs(call):
     status, out, err = call("list", "wcg", "--json")
     assert (status, err) == (0, "")
     found = json.loads(out)
-    assert "[Lu 2019, (12)-(14)]" in found["source"]
+    assert found["source"] == "Lu 2019, (12)-(14)"
     assert found["needs"] == ["delay", "elevation", "stated_sigma"]
     assert found["not_in_all"] == ""
     words = shlex.split(found["example"])
@@ -64,6 +65,39 @@ def test_a_preset_with_source_needs_and_an_example_that_runs(call):
         )
     assert "scenario.path=..." in call("list", "recorded")[1], "what it cannot be built without"
     assert "experiment=leaderboard_bs_grid" in call("list", "leaderboard_bs_grid")[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("ekf_vmf", "Nurminen 2018, Alg. 2"),
+        ("ekf_aoa", "Lu 2019, (15)-(26)"),  # over two lines in the module
+        ("vmf_ml", "Nurminen 2018, (5); Boquet 2024, M_vMF"),
+        ("ekf_vmf_smoother", "Rauch, Tung and Striebel 1965"),
+        ("recorded", "aoabench/scenarios/recorded.py"),
+    ],
+)
+def test_a_source_is_a_paper_or_a_file(name, source):
+    assert about.about(name).source == source
+
+
+def test_a_preset_says_what_runs_with_it(call):
+    """It says the same as --fits and as the check before a run."""
+    places = {name: catalogue.fitting(name) for name in ("ble_room", "indoor_map", "square_track")}
+    for group, name in (("estimator", "wcg"), ("filter", "ekf_ae_fitted"), ("filter", "ekf_vmf")):
+        found = json.loads(call("list", name, "--json")[1])["fits"]
+        for scenario, whole in places.items():
+            assert found.get(scenario) == whole[group].get(name)
+    found = json.loads(call("list", "ble_room", "--json")[1])["fits"]
+    assert found == {"estimator": list(places["ble_room"]["estimator"])}
+    found = json.loads(call("list", "ofdm_crlb", "--json")[1])["fits"]
+    for scenario, whole in places.items():
+        some = any("ofdm_crlb" in noises for names in whole.values() for noises in names.values())
+        assert (scenario in found["scenario"]) == some
+    text = call("list", "ekf_ae_fitted")[1]
+    assert "square_track_upright,track noise=ae_flip,ae_normal,vmf" in text
+    assert "runs with" not in call("list", "recorded")[1]
+    assert "runs with" not in call("list", "slurm")[1]
 
 
 def test_a_parameter_with_meaning_unit_and_range(call):
@@ -115,3 +149,9 @@ def test_lines_wrap_in_a_terminal_alone(monkeypatch):
     assert len(lines) > 3
     assert max(map(len, lines)) <= 60
     assert all(one.startswith(" " * 9 + "word") for one in lines[1:])
+
+
+def test_the_example_of_a_cluster_names_its_scheduler(call):
+    for name in ("dask", "slurm"):
+        assert f"runner={name} runner.address=tcp://HOST:PORT" in call("list", name)[1]
+    assert "runner.address" not in call("list", "local")[1].partition("example:")[2].split("\n")[0]

@@ -184,6 +184,36 @@ def test_plugins_are_one_list():
     assert compose_cells(["filter=[ekf_vmf]", "plugins=null"])[0].plugins == ()
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("filter=[ekf_vmf] +filter=[ukf_vmf]", "filter=[ekf_vmf] and +filter=[ukf_vmf]: filter is set "
+         "in two ways; allowed: one list, filter=[ekf_vmf,ukf_vmf]"),
+        ("+estimator=ls_lines estimator=[wcg,ls_lines]", "+estimator=ls_lines and "
+         "estimator=[wcg,ls_lines]: estimator is set in two ways; allowed: one list, "
+         "estimator=[ls_lines,wcg]"),
+        ("+filter=[ekf_vmf] +filter=ukf_vmf", "+filter=[ekf_vmf] and +filter=ukf_vmf: filter is set in "
+         "two ways; allowed: one list, filter=[ekf_vmf,ukf_vmf]"),
+        ("noise=vmf +noise=ae_flip", "noise=vmf and +noise=ae_flip: noise is set in two ways; "
+         "allowed: one of them"),
+        ("reps=2 ++reps=3", "reps=2 and ++reps=3: reps is set in two ways; allowed: one of them"),
+    ],
+)  # fmt: skip
+def test_a_key_is_not_set_in_two_ways(words, message):
+    with pytest.raises(UserError) as error:
+        compose_cells(words.split())
+    assert str(error.value) == message
+
+
+def test_what_is_added_is_there():
+    """To the estimators of an experiment; a key that is set twice has its last value."""
+    words = ["experiment=le2021_fig6", "noise.sigma_deg=2", "+estimator=[vmf_ml]"]
+    cell = compose_cells(words)[0]
+    assert {"vmf_ml", "ls", "ml_kcorr"} <= set(cell.estimators)
+    (cell,) = compose_cells(["filter=[ekf_vmf]", "filter=[ukf_vmf]"])
+    assert list(cell.estimators) == ["ukf_vmf"]
+
+
 def test_a_deleted_key_in_a_sweep():
     """The way of `aoabench.run`: every run is a sweep."""
     cells = compose_cells(["filter=[ekf_vmf]", "~until", "+until={metric: null}", "seed=1,2"])

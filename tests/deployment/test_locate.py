@@ -11,6 +11,7 @@ import pytest
 import aoabench
 from aoabench.deployment import files, fixes, located, plans, summary
 from aoabench.deployment.request import Request
+from aoabench.deployment.solving import Residuals
 from aoabench.devices.geodesy import Origin
 from aoabench.errors import UserError
 from aoabench.roles import PlainEstimator
@@ -284,6 +285,25 @@ def test_an_azimuth_at_a_pole_is_no_residual(room, log):
     np.testing.assert_array_equal(np.isnan(found.azimuth), at_pole)
     lines = list(summary.residual_lines(found, list(ANCHORS), "counterclockwise"))
     assert len(lines) == 1
+
+
+def test_one_odd_anchor_among_few_may_mean_another_convention():
+    """Where one anchor's azimuths are those of a mirrored frame, the fixes follow the others."""
+    azimuth = np.radians(np.tile([178.0, 40.0, -50.0], 10))
+    rest = np.repeat(np.arange(10), 3), np.tile([0, 1, 2], 10)
+    found = Residuals(*rest, azimuth, np.full(30, np.nan))
+    lines = list(summary.residual_lines(found, ["A", "B", "C"], "clockwise"))
+    assert "anchor A: its azimuths differ by 178 deg" in lines[1]
+    assert "now clockwise, else counterclockwise" in lines[-1]
+    few = Residuals(*rest, azimuth * np.tile([1, 0.1, 0.1], 10), np.full(30, np.nan))
+    assert len(list(summary.residual_lines(few, ["A", "B", "C"], "clockwise"))) == 2
+
+
+def test_the_first_rows_count_anchors_in_whole_numbers(room, log):
+    frame = located_in(log(rows_of(POINTS)), room).frame
+    assert list(summary.head(frame, 2))[1].split()[-2:] == ["4", "ok"]
+    frame.loc[0, "anchors_used"] = None
+    assert len(list(summary.head(frame, 2))) == 4
 
 
 def test_mistakes_are_one_line(room, log):

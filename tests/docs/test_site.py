@@ -3,6 +3,8 @@
 import importlib.util
 import re
 import runpy
+import shutil
+import subprocess
 
 import pytest
 import yaml
@@ -105,6 +107,36 @@ def test_links_out_of_the_docs_lead_to_copies(hooks):
         "[a](../../results/report/index.html), [b](sweep.md#c)",
     )
     assert found == "[a](../repository/results/report/index.html), [b](sweep.md#c)"
+
+
+SITE = ROOT / "results" / "draft" / "site"
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+def test_pages_load_no_script_from_another_server(hooks):
+    shim = '<script src="https://unpkg.com/iframe-worker/shim"></script>'
+    html = f"<head></head><body>{shim}<script src=a.js></script></body>"
+    found = hooks.on_post_page(html, None, None)
+    assert "unpkg" not in found
+    assert found.index("window.IFrameWorker") < found.index("<script src=a.js>")
+    assert hooks.on_post_template(html, "404.html", None) == found
+    assert hooks.on_post_template(html, "sitemap.xml", None) == html
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (apt-get install chromium)")
+@pytest.mark.skipif(not (SITE / "index.html").exists(), reason="no site here (make docs)")
+@pytest.mark.parametrize("page", ["index.html", "howto/plot.html"])
+def test_the_site_is_searched_where_pages_are_opened_as_files(page, tmp_path):
+    options = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=20000")
+    url = f"{(SITE / page).as_uri()}?q=covariance"
+    command = [CHROMIUM, *options, f"--user-data-dir={tmp_path}", "--dump-dom", url]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    (count,) = re.findall(r'md-search-result__meta">(\d+) matching documents<', done.stdout)
+    assert int(count) > 1
+    assert f'href="{(SITE / "reference" / "python.html").as_uri()}' in done.stdout
+    scripts = re.findall(r'<script[^>]* src="([^"]*)"', done.stdout)
+    assert scripts
+    assert not [script for script in scripts if "://" in script and "file://" not in script]
 
 
 def test_reference_pages_are_complete(hooks):

@@ -12,6 +12,7 @@ from aoabench.studies import dots, page, statements, study
 from aoabench.studies.axis import axis, tick_text
 from aoabench.studies.claims import Limits
 from aoabench.studies.dots import Dot
+from aoabench.studies.places import of_scale
 
 NAN, INF = math.nan, math.inf
 
@@ -194,7 +195,10 @@ def test_ticks_are_few_round_and_within_the_axis(numbers, others):
 def test_every_claim_with_several_readings_has_its_plot_on_the_page():
     results = Path(__file__).parents[2] / "results"
     everything = [study.load(name) for name in study.names()]
-    rows = page._rows(everything, statements.verdicts(everything, results))
+    rows = page._rows(
+        everything, statements.verdicts(everything, results), of_scale("paper", results)
+    )
+    assert {row["command"].partition(" --scale ")[2] for row in rows} == {"paper"}, "as stored"
     several = [row for row in rows if len(row["readings_of"]) > 1]
     assert len(several) > 50
     for row in rows:

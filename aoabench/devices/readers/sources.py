@@ -15,7 +15,7 @@ from typing import Any
 
 from aoabench import loaded
 from aoabench.devices.readers.reading import AUTO, Reading
-from aoabench.errors import BadValue, listed
+from aoabench.errors import BadValue, listed, near_file
 
 KINDS = (
     "table (.csv, .tsv, .txt, .parquet, .xlsx, JSON lines, or packed with gzip) "
@@ -124,7 +124,7 @@ def _check_file(key: str, path: Any) -> None:
     """Raise BadValue unless `path` is a regular file."""
     if isinstance(path, str) and os.path.isfile(path):
         return
-    hint = ""
+    hint = near_file(path) if isinstance(path, str) else ""
     try:
         mode = os.stat(path).st_mode
         if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode) or stat.S_ISSOCK(mode):

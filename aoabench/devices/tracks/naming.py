@@ -52,24 +52,35 @@ def chosen_columns(
     grouped = any(chosen[ours] for ours in ("fix", "sequence", "anchor_time"))
     required = required | (set() if grouped else {"time"})
     required |= {"x", "y"} if any(chosen.get(axis) for axis in "xyz") else set()
+    lost = [ours for ours, name in chosen.items() if name is None and ours in required]
     for ours, name in chosen.items():
-        if name is None and ours in required:
-            raise _no_column(ours, name, defaults[ours][0], path, columns)
+        if ours in lost:
+            raise _no_column(ours, name, defaults[ours][0], path, columns, lost)
         if name is not None and columns.count(name) != 1:
             raise _no_column(ours, name, name, path, columns)
     return {ours: name for ours, name in chosen.items() if name is not None}
 
 
 def _no_column(
-    ours: str, name: str | None, wanted: str, path: object, columns: Sequence[str]
+    ours: str,
+    name: str | None,
+    wanted: str,
+    path: object,
+    columns: Sequence[str],
+    lost: Sequence[str] = (),
 ) -> BadValue:
-    """The error for the column `ours`, whose name `wanted` is missing or twice in the file."""
+    """The error for the column `ours`, whose name `wanted` is missing or twice in the file; `lost`
+    are all required columns that are missing.
+    """
     default = f", by default called {wanted}," if name is None else ""
     allowed = f"a column{default} of {path}, which has {shown_columns(columns)}"
     if wanted in columns:
         allowed += f"; {wanted} occurs {columns.count(wanted)} times"
     else:
         allowed += did_you_mean(wanted, columns)
+    if lost:
+        words = ",".join(f"{one}:NAME" for one in lost)
+        allowed += f"; 'scenario.columns={{{words}}}' reads columns of other names"
     if ours == "time":
         units = [unit for unit in SECONDS if f"time_{unit}" in columns]
         allowed += "".join(f"; scenario.time_unit={unit} reads time_{unit}" for unit in units)

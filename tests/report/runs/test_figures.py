@@ -1,5 +1,7 @@
 """What the figures of a run draw: the marks against the numbers, axes, legends and footers."""
 
+from itertools import pairwise
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -260,7 +262,7 @@ def test_labels_of_neighbouring_panels_do_not_meet(frame):
     name = "estimator.an_estimator_of_mine.azimuth_sigma_deg"
     figure = plot(frame({"a": [1.0, 2.0]}, **{name: [1, 2]}, noise=list("abc")), over=name)
     labels = [axis.xaxis.label.get_window_extent() for axis in panels(figure).values()]
-    assert all(one.x1 < other.x0 for one, other in zip(labels, labels[1:]))
+    assert all(one.x1 < other.x0 for one, other in pairwise(labels))
 
 
 def test_too_many_colours_are_one_line(frame):
