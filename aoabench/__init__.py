@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aoabench import loaded  # noqa: F401 - first: it records the modules below
-from aoabench.errors import RunError, UserError
+from aoabench.errors import BadValue, RunError, UserError, shorten
 from aoabench.params import param
 from aoabench.roles import Estimator, Filter, Measurement, Motion, Noise, Scenario
 from aoabench.types import Anchors, Batch, Estimates, Measurements, Outcome
@@ -95,12 +95,15 @@ def run(
     from aoabench.config.fit import left_out_text
     from aoabench.engine import faults, runner
 
+    _check_words(overrides)
+    if estimators is not None and not isinstance(estimators, Mapping):
+        raise BadValue("estimators", estimators, 'a dict such as {"mine": MyEstimator()}')
     cells = compose_cells(
         overrides,
         config_dir=config_dir,
         plugins=plugins,
         extra=estimators,
-        out=None if out is None else os.fspath(out),
+        out=None if out is None else _path("out", out),
         say=faults.report if progress else None,
     )
     frame = load(runner.run(cells, progress, fresh).out)
@@ -135,9 +138,12 @@ def locate(
     from aoabench.deployment.request import Request
     from aoabench.engine.faults import explained
 
-    files = (os.fspath(log), os.fspath(anchors), None if truth is None else os.fspath(truth))
+    _check_words(settings)
+    path = _path("log", log, _FILE)
+    given = {"anchors": anchors, "truth": truth}
+    files = [None if file is None else _path(key, file, _FILE) for key, file in given.items()]
     with explained():
-        request = Request(files[0], files[1], format, estimator, filter, files[2], settings)
+        request = Request(path, files[0], format, estimator, filter, files[1], settings)
         return located.locate(request.asked(), max_sigma_m).frame
 
 
@@ -152,7 +158,7 @@ def load(out: str | os.PathLike[str]) -> pd.DataFrame:
     from aoabench.engine.faults import explained
     from aoabench.store import tables
 
-    with explained(Path(out)):
+    with explained(Path(_path("out", out))):
         frame = tables.load(_literal(out))
     units = {name: unit for name in frame if (unit := unit_of(str(name)))}
     cells = frame["cell"].unique().tolist()
@@ -174,7 +180,7 @@ def compare(
     from aoabench.engine.faults import explained
     from aoabench.store import compare as compare_module
 
-    with explained(Path(run)):
+    with explained(Path(_path("run", run))):
         return compare_module.compare(_literal(run), baseline, metric)
 
 
@@ -208,14 +214,14 @@ def plot(
 
     if isinstance(source, pd.DataFrame):
         return drawing.plot(source, kind, metric, by, over, where, baseline)
-    with explained(Path(source)):
+    with explained(Path(_path("source", source, f"{_FOLDER}, or a frame of `load` or `run`"))):
         return drawing.plot(_literal(source), kind, metric, by, over, where, baseline)
 
 
 def export(
     run: str | os.PathLike[str],
     form: str = "latex",
-    metrics: Sequence[str] = (),
+    metrics: str | Sequence[str] = (),
     by: str | None = None,
     digits: int = 2,
 ) -> Any:
@@ -233,13 +239,35 @@ def export(
     from aoabench.report import export as export_module
 
     check_choice("form", form, list(export_module.FORMATS))
-    with explained(Path(run)):
-        return export_module.export(Path(_literal(run)), form, metrics, by, digits)
+    names = [metrics] if isinstance(metrics, str) else metrics
+    with explained(Path(_path("run", run))):
+        return export_module.export(Path(_literal(run)), form, names, by, digits)
 
 
 def __dir__() -> list[str]:
     """The public names, without the modules that they come from."""
     return sorted([*__all__, "__version__"])
+
+
+_FOLDER = "the folder of a run, such as frame.attrs['folder'] of a frame of `run`"
+_FILE = "the path of a file; a table in memory is written first, with its `to_csv`"
+
+
+def _path(key: str, value: object, allowed: str = _FOLDER) -> str:
+    """The argument `key` as a path; UserError if it is none."""
+    if not isinstance(value, str | os.PathLike):
+        raise UserError(f"{key}: a {type(value).__name__} is not allowed; allowed: {allowed}")
+    return os.fspath(value)
+
+
+def _check_words(words: Sequence[object]) -> None:
+    """UserError for overrides that are not text, such as a list of them or a dict."""
+    for word in words:
+        if not isinstance(word, str):
+            raise UserError(
+                f"{shorten(repr(word))}: a {type(word).__name__} is not allowed as an override; "
+                'allowed: texts, each an argument of its own: "noise=vmf", "reps=9"'
+            )
 
 
 def _literal(path: str | os.PathLike[str]) -> str:

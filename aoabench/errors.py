@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import sys
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
@@ -23,8 +24,22 @@ def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6, path: str
 
     `path` is the text before the proposed name.
     """
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
-    return f"; did you mean {path + close[0]!r}?" if close else ""
+    names = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower(), list(names), n=1, cutoff=cutoff)
+    return f"; did you mean {path + names[close[0]]!r}?" if close else ""
+
+
+def near_file(path: str) -> str:
+    """Return '; did you mean X?' for a path that does not exist, where the folder that it names
+    has a file or folder of a similar name, else ''.
+    """
+    folder, name = os.path.split(path)
+    if os.path.lexists(path):
+        return ""
+    try:
+        return did_you_mean(name, sorted(os.listdir(folder or ".")), path=os.path.join(folder, ""))
+    except (OSError, ValueError):
+        return ""
 
 
 def shorten(text: str, most: int = 200) -> str:

@@ -176,9 +176,11 @@ class Measurement(CheckedParams):
     x (R, ..., n) are states; m = B d components in anchor order; `anchors` are those of one step.
     `quality` (R, m) are the nominal variances of one step. `kernel` names the compiled likelihood
     and derivatives that equal the methods of the class itself; a subclass does not inherit it.
+    `uses` is that of the filters with the model.
     """
 
     kernel: str | None = None
+    uses: frozenset[str] | None = None
 
     @property
     def needs(self) -> frozenset[str]:
@@ -226,12 +228,15 @@ class Estimator(CheckedParams):
     true states (R, T, n) as a fourth argument; such an estimator cannot run on a device.
     heard_only: whether it takes batches of the anchors heard alone (see `Batch`): K is then B.
     causal: whether the estimate of a step uses no later measurements, as live positioning requires.
+    uses: the NEEDS of the group noise that estimates depend on where they are measured, required or
+    not; None: not stated.
     """
 
     tile: int | None = None
     by_replication: bool = False
     heard_only: bool = False
     causal: bool = True
+    uses: frozenset[str] | None = None
 
     @property
     def needs(self) -> frozenset[str]:
@@ -286,3 +291,7 @@ class Filter(Estimator):
     @property
     def needs(self) -> frozenset[str]:
         return frozenset({"motion", "prior"}) | self.measurement.needs
+
+    @property
+    def uses(self) -> frozenset[str] | None:  # type: ignore[override]
+        return self.measurement.uses

@@ -3,6 +3,7 @@
 import inspect
 
 import pandas as pd
+import pytest
 
 import aoabench
 
@@ -41,3 +42,25 @@ def test_a_frame_knows_its_folder_cells_and_units(tmp_path):
     }
     whole.to_parquet(tmp_path / "copy.parquet")  # which takes attributes of plain values alone
     assert pd.read_parquet(tmp_path / "copy.parquet").attrs == whole.attrs
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: aoabench.run(["noise=vmf"]), "a list is not allowed as an override"),
+        (lambda: aoabench.run({"noise": "vmf"}), "a dict is not allowed as an override"),
+        (lambda: aoabench.run(estimators=[object()]), "estimators=.*allowed: a dict"),
+        (lambda: aoabench.run(out=3), "out: a int is not allowed; allowed: the folder of a run"),
+        (lambda: aoabench.load(None), "out: a NoneType is not allowed"),
+        (lambda: aoabench.compare(pd.DataFrame()), r"run: a DataFrame .*frame.attrs\['folder'\]"),
+        (lambda: aoabench.export(pd.DataFrame()), "run: a DataFrame is not allowed"),
+        (lambda: aoabench.plot(3), "source: a int .* or a frame of `load`"),
+        (lambda: aoabench.locate(pd.DataFrame(), "a.csv"), "log: a DataFrame .*to_csv"),
+        (lambda: aoabench.locate("l.csv", 3), "anchors: a int is not allowed"),
+        (lambda: aoabench.locate("l.csv", "a.csv", ["x=1"]), "a list is not allowed"),
+    ],
+)
+def test_arguments_of_another_kind_are_one_line(call, message):
+    with pytest.raises(aoabench.UserError, match=message) as found:
+        call()
+    assert "\n" not in str(found.value)

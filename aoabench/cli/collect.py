@@ -8,7 +8,6 @@ import click
 
 from aoabench.cli.common import Command, json_option, print_json, run_argument, say
 from aoabench.engine.faults import report
-from aoabench.errors import UserError
 
 _TABLES = ("tidy", "replications", "summary", "cells", "timing")
 
@@ -28,13 +27,13 @@ def collect(run: Path, as_json: bool) -> None:
     With --json: `run`, the folder; `cells`, the number of cells in the tables; `tables`, an object
     {name: path}.
     """
-    from aoabench.report.tails import heavy_tails, heavy_tails_text
+    from aoabench.report import tails
     from aoabench.store import folder, tables
     from aoabench.store.lock import locked
 
     cells = len(folder.record_files(run))
     if not cells:
-        raise UserError(f"{run}: no results here; allowed: the runner.out folder of a run")
+        raise folder.no_results(run)
     with locked(run, report):
         tables.collect(run)
     if as_json:
@@ -42,5 +41,5 @@ def collect(run: Path, as_json: bool) -> None:
         print_json({"run": run, "cells": cells, "tables": paths})
         return
     say(f"{cells} cells: {run}/{{{','.join(_TABLES)}}}.parquet")
-    for line in heavy_tails_text(heavy_tails(tables.shown(run, "summary")["summary"])):
+    for line in tails.lines(tables.shown(run, "summary")["summary"]):
         say(line)

@@ -57,8 +57,8 @@ def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None
     `rows`, the rows of compare.parquet; `left_out`, an object {cell not compared: reason};
     `non_causal`, the estimators whose fixes use later measurements too.
     """
+    from aoabench.report import tails
     from aoabench.report.comparison import lines
-    from aoabench.report.tails import heavy_tails, heavy_tails_text
     from aoabench.store import compare as compare_module
     from aoabench.store import tables
     from aoabench.store.files import write_frame
@@ -70,7 +70,7 @@ def compare(run: Path, baseline: str | None, metric: str, as_json: bool) -> None
     else:
         echo("\n".join(lines(table)))
         if table["heavy_tail"].any():
-            echo("\n".join(heavy_tails_text(heavy_tails(tables.shown(run, "summary")["summary"]))))
+            echo("\n".join(tails.lines(tables.shown(run, "summary")["summary"])))
     try:
         write_frame(run / "compare.parquet", table)
     except OSError as error:  # another user's run, or an archive

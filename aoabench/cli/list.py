@@ -33,6 +33,12 @@ def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     help="A config group, to list its presets; a preset, to show its source, needs and keys; or a "
     "key, to show its meaning and range.",
 )
+@click.argument(
+    "words",
+    nargs=-1,
+    metavar="[plugins=[NAME]]",
+    help="Your own packages that presets of --config-dir may name, as in `run`.",
+)
 @click.option(
     "--fits",
     metavar="SCENARIO",
@@ -42,7 +48,13 @@ def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     "--config-dir", type=click.Path(), help="Also list the presets in this folder of your own."
 )
 @json_option
-def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_json: bool) -> None:
+def list_presets(
+    name: str | None,
+    words: tuple[str, ...],
+    fits: str | None,
+    config_dir: str | None,
+    as_json: bool,
+) -> None:
     """List the presets, each with a one-line description.
 
     \b
@@ -54,6 +66,7 @@ def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_
       aoabench list until            (keys of a run)
       aoabench list noise.sigma_deg  (a key, in each preset that has it)
       aoabench list --fits ble_room
+      aoabench list my_noise --config-dir conf 'plugins=[my_noise]'   (of your own)
 
     With --json: `groups`, an object with an object {preset: description} for each group; of a
     preset `parameters`, each with key, value, unit, help and allowed, and `fits`: of a filter or
@@ -62,16 +75,33 @@ def list_presets(name: str | None, fits: str | None, config_dir: str | None, as_
     """
     if config_dir and not Path(config_dir).is_dir():
         raise UserError(f"--config-dir={config_dir}: no such folder; allowed: an existing folder")
+    if name and "=" in name:
+        words, name = (name, *words), None
+    plugins = _plugins(words)
     if fits is not None:
         if name is not None:
             raise UserError(f"{name!r} is not allowed with --fits; allowed: either NAME or --fits")
-        _print_fits(fits, config_dir, as_json)
+        _print_fits(fits, config_dir, plugins, as_json)
     elif name is None or name in GROUPS:
         _print_groups([name] if name else list(GROUPS), config_dir, as_json)
     elif "." in name or name in _KEYS:
-        _print_key(name, config_dir, as_json)
+        _print_key(name, config_dir, plugins, as_json)
     else:
-        _print_preset(name, config_dir, as_json)
+        _print_preset(name, config_dir, plugins, as_json)
+
+
+def _plugins(words: tuple[str, ...]) -> tuple[str, ...]:
+    """The packages of plugins=[...]; UserError for other words."""
+    if not words:
+        return ()
+    from aoabench.config.overrides import read
+    from aoabench.config.plugins import parse_plugins
+
+    settings = read(words)
+    for one in settings:
+        if one.key != "plugins":
+            raise UserError(f"{one.word}: not allowed here; allowed: one NAME and plugins=[...]")
+    return parse_plugins(settings)
 
 
 def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> None:
@@ -87,11 +117,13 @@ def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> N
             echo(wrapped(f"  {preset:24s} {text}", 27))
 
 
-def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
+def _print_fits(
+    scenario: str, config_dir: str | None, plugins: tuple[str, ...], as_json: bool
+) -> None:
     from aoabench.config import catalogue
 
-    found = catalogue.fitting(scenario, config_dir)
-    without = catalogue.not_in_all(config_dir)
+    found = catalogue.fitting(scenario, config_dir, plugins)
+    without = catalogue.not_in_all(config_dir, plugins)
     if as_json:
         mine = {g: {n: why for n, why in without[g].items() if n in found[g]} for g in found}
         print_json({"fits": found, "not_in_all": mine})
@@ -104,10 +136,10 @@ def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
             echo(wrapped(f"  {name:24s} noise={','.join(noises)}{rest}", 27))
 
 
-def _print_key(key: str, config_dir: str | None, as_json: bool) -> None:
+def _print_key(key: str, config_dir: str | None, plugins: tuple[str, ...], as_json: bool) -> None:
     from aoabench.config import about
 
-    found = about.of_key(key, config_dir)
+    found = about.of_key(key, config_dir, plugins)
     if as_json:
         rows = [{"preset": k.partition(" ")[0], **p._asdict()} for k, p in found.items()]
         print_json({"key": key, "parameters": rows})
@@ -120,11 +152,13 @@ def _print_key(key: str, config_dir: str | None, as_json: bool) -> None:
         _print_parameter(one)
 
 
-def _print_preset(name: str, config_dir: str | None, as_json: bool) -> None:
+def _print_preset(
+    name: str, config_dir: str | None, plugins: tuple[str, ...], as_json: bool
+) -> None:
     from aoabench.config import about
 
-    found = about.about(name, config_dir)
-    fits = about.fits(found, config_dir)
+    found = about.about(name, config_dir, plugins)
+    fits = about.fits(found, config_dir, plugins)
     if as_json:
         rows = [p._asdict() for p in found.parameters]
         print_json({**found._asdict(), "parameters": rows, "fits": fits})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from aoabench.types import SENTENCES, Outcome, Reason
@@ -38,13 +38,12 @@ def not_ok(summary: pd.DataFrame) -> list[dict[str, Any]]:
 _SHARES = [f"share_{outcome.name.lower()}" for outcome in Outcome if outcome]
 
 
-def not_ok_text(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """The objects of `not_ok` as lines for a terminal."""
+def not_ok_text(rows: list[dict[str, Any]], names: Mapping[str, str]) -> Iterator[str]:
+    """The objects of `not_ok` as lines for a terminal; `names` of cells if there are several."""
     if rows:
         yield "fixes that are not ok, with the commonest reason:"
-    several = len({row["cell"] for row in rows}) > 1
     for row in rows[:_MOST_LINES]:
-        cell = f"cell {row['cell']} " if several else ""
+        cell = f"{names[row['cell']]} " if names else ""
         shares = [f"{_percent(row[n])} {n.removeprefix('share_')}" for n in _SHARES if row[n] > 0]
         yield f"  {cell}{row['estimator']}: {', '.join(shares)}: {_why(row)}"
     if len(rows) > _MOST_LINES:

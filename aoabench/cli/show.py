@@ -13,9 +13,9 @@ from aoabench.cell import Cell
 from aoabench.cli.outcomes import not_ok, not_ok_text
 from aoabench.cli.tags import tags, tags_text, told
 from aoabench.columns import SUMMARY
-from aoabench.report.tails import heavy_tails, heavy_tails_text
+from aoabench.report import tails
 from aoabench.report.text import NON_CAUSAL, interval_text, metric_title, shown_name
-from aoabench.store.swept import differing
+from aoabench.store.swept import cell_names, differing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,8 +84,8 @@ def run_text(found: Finished) -> Iterator[str]:
     if not found.summary["causal"].all():
         yield f"non-causal: {NON_CAUSAL}"
     yield from tags_text(told(tags(out, found.cells)))
-    yield from heavy_tails_text(heavy_tails(found.summary))
-    yield from not_ok_text(not_ok(found.summary))
+    yield from tails.lines(found.summary)
+    yield from not_ok_text(not_ok(found.summary), cell_names(found.summary))
     if found.errors:
         yield (
             f"exceptions and NaN in {len(found.errors)} replications, e.g. {found.errors[0]}; "
@@ -169,7 +169,7 @@ def run_json(found: Finished) -> dict[str, Any]:
         ],
         "summary": found.summary.to_dict("records"),
         "tags": tags(report.out, found.cells),
-        "heavy_tails": heavy_tails(found.summary),
+        "heavy_tails": tails.heavy_tails(found.summary),
         "not_ok": not_ok(found.summary),
         "errors": {"replications": len(found.errors), "first": next(iter(found.errors), None)},
         "precision": report.precision,

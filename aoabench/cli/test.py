@@ -91,8 +91,10 @@ def _lines(one: PlugIn, results: list[Result]) -> list[str]:
     """The results of a plug-in, a line for each rule."""
     if one.lacks:
         return [f"{one.name} ({one.role}): not tried: it {one.lacks}"]
-    count = sum(not r.problem and not r.skipped for r in results)
-    head = f"{one.name} ({one.role}): {count} of {len(results)} rules hold"
+    tried = [r for r in results if not r.skipped]
+    count = sum(not r.problem for r in tried)
+    rest = f", {len(results) - len(tried)} skipped" if len(tried) < len(results) else ""
+    head = f"{one.name} ({one.role}): {count} of {len(tried)} rules hold{rest}"
     lines = [f"  {_status(r):8s}{r.rule:15s} {_words(r)}" for r in results]
     return [head, *lines]
 

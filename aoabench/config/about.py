@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ from aoabench.config.adopt import as_estimator, as_noise, as_scenario
 from aoabench.config.catalogue import Parameter, composed, group_of, parameters
 from aoabench.config.every import SMOOTHER, variant_of
 from aoabench.config.plugins import construct, resolve
-from aoabench.config.presets import GROUPS, LISTS, options, variants
+from aoabench.config.presets import GROUPS, LISTS, options, own_options, variants
 from aoabench.errors import BadValue, Unfit, UserError, did_you_mean
 from aoabench.resources import shipped
 from aoabench.roles import NEEDS, Estimator
@@ -48,26 +49,32 @@ class About(NamedTuple):
     not_in_all: str = ""
 
 
-def about(name: str, config_dir: str | None = None) -> About:
-    """A preset of any group; UserError for an unknown name."""
+def about(name: str, config_dir: str | None = None, plugins: Sequence[str] = ()) -> About:
+    """A preset of any group; UserError for an unknown name, and for a class outside the packages
+    that presets may name, ours and `plugins`.
+    """
     group = group_of(name, config_dir)
     chosen = f"{group}=[{name}]" if group in LISTS else f"{group}={name}"
     description = options(group, config_dir)[name]
     if group not in _PLUGGED:
         keys = _commented(_file(group, name, config_dir), group) if group == "runner" else []
-        example = f"aoabench run {chosen} --cfg job" if group == "experiment" else _example(chosen)
+        if group == "experiment":
+            example = f"aoabench run {chosen} --cfg job"
+        else:
+            cluster = composed([chosen], config_dir)["runner"]["backend"] == "dask"
+            example = _example(chosen, *["runner.address=tcp://HOST:PORT"] * cluster)
         return About(group, name, description, example, list(keys))
-    plain = composed([chosen], config_dir)
+    plain = composed([chosen], config_dir, plugins)
     node = plain[group][name] if group in LISTS else plain[group]
-    cls = resolve(node["_target_"], group)
-    wants = _wants(group, name, node, chosen)
+    cls = resolve(node["_target_"], group, plugins)
+    wants = _wants(group, name, node, chosen, plugins)
     words = variants(group, config_dir).get(name, "") if group in LISTS else ""
     return About(
         group,
         name,
         description,
-        wants.example,
-        parameters(name, config_dir),
+        wants.example + _own(group, name, config_dir, plugins),
+        parameters(name, config_dir, plugins),
         target=node["_target_"],
         what=_first(inspect.getdoc(cls)),
         source=_source(cls),
@@ -77,7 +84,9 @@ def about(name: str, config_dir: str | None = None) -> About:
     )
 
 
-def of_key(key: str, config_dir: str | None = None) -> dict[str, Parameter]:
+def of_key(
+    key: str, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> dict[str, Parameter]:
     """A key by its dotted name, or all keys below it, by the preset that has them; "" for keys of a
     run, which no preset of a plug-in defines. UserError for an unknown key.
     """
@@ -91,7 +100,7 @@ def of_key(key: str, config_dir: str | None = None) -> dict[str, Parameter]:
         names = [name for name in names if name == rest.partition(".")[0]]
     near = [p.key for p in run_keys()]
     for name in names:
-        each = parameters(name, config_dir)
+        each = parameters(name, config_dir, plugins)
         near += [p.key for p in each]
         for one in each:
             if one.key == key or one.key.startswith(f"{key}."):
@@ -142,12 +151,12 @@ class _Wants(NamedTuple):
     example: str
 
 
-def _wants(group: str, name: str, node: Any, chosen: str) -> _Wants:
+def _wants(group: str, name: str, node: Any, chosen: str, plugins: Sequence[str]) -> _Wants:
     """What a preset needs and offers; one that cannot be built as it is, such as a recording
     without its file, states neither.
     """
     try:
-        made = construct(node, group)
+        made = construct(node, group, plugins)
     except BadValue as error:
         return _Wants([], None, True, _example(chosen, f"{error.key}=..."))
     if group in LISTS:
@@ -194,17 +203,21 @@ def _source(cls: type) -> str:
     return f"{cls.__module__.replace('.', '/')}.py"
 
 
-def fits(found: About, config_dir: str | None = None) -> dict[str, list[str]]:
+def fits(
+    found: About, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> dict[str, list[str]]:
     """Presets that run with this one. Of a filter or estimator: scenario -> noises; of a scenario:
     group -> filters or estimators; of a noise: "scenario" -> scenarios. Nothing for other groups,
     and where a preset cannot be built as it is, such as a recording without its file.
     """
     try:
         if found.group in LISTS:
-            return catalogue.fitting_places(found.group, found.preset, config_dir)
+            return catalogue.fitting_places(found.group, found.preset, config_dir, plugins)
         if found.group == "noise":
-            return {"scenario": catalogue.scenarios_of(found.preset, config_dir)}
-        whole = catalogue.fitting(found.preset, config_dir) if found.group == "scenario" else {}
+            return {"scenario": catalogue.scenarios_of(found.preset, config_dir, plugins)}
+        if found.group != "scenario":
+            return {}
+        whole = catalogue.fitting(found.preset, config_dir, plugins)
     except UserError:
         return {}
     return {group: list(names) for group, names in whole.items() if names}
@@ -216,6 +229,14 @@ def _example(chosen: str, *more: str) -> str:
     words = [f"'{chosen}'" if "[" in chosen else chosen, *more]
     words += [] if group in LISTS else ["estimator=all"]
     return f"aoabench run {' '.join(words)} reps=20"
+
+
+def _own(group: str, name: str, config_dir: str | None, plugins: Sequence[str]) -> str:
+    """What a command needs beside, to use a preset of a folder of one's own."""
+    if config_dir is None or name not in own_options(group, config_dir):
+        return ""
+    named = f" 'plugins=[{','.join(plugins)}]'" if plugins else ""
+    return f" --config-dir {shlex.quote(config_dir)}{named}"
 
 
 def names(config_dir: str | None = None) -> list[str]:

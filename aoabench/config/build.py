@@ -14,7 +14,7 @@ from aoabench.config.fit import Fitting, misbuilt, those_that_fit
 from aoabench.config.heard import remark, share_heard
 from aoabench.config.plugins import construct, import_plugins
 from aoabench.config.presets import LISTS, options
-from aoabench.config.recording import as_recorded
+from aoabench.config.recording import as_recorded, unused
 from aoabench.config.running import MOST_REPS, runner_options
 from aoabench.errors import BadValue, Mistakes, UserError, check_number
 from aoabench.roles import Estimator, Noise, Scenario
@@ -116,7 +116,8 @@ class Builder:
         fit = fit._replace(left_out={**left_out, **fit.left_out})
         if by_all.words and not fit.estimators and not mistakes.found:
             mistakes.note(_nothing_runs(by_all, choices, fit))
-        return _Plugged(plain, choices, scenario, noise, fit, (*notes, *fit.notes))
+        notes = *notes, *fit.notes, *unused(scenario, fit.estimators)
+        return _Plugged(plain, choices, scenario, noise, fit, notes)
 
     def _object(self, node: Any, path: str, adopted: Callable[[Any, str], Any]) -> Any:
         """The object that a node describes, in its role; one for all cells if its classes are

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from aoabench.config.overrides import Setting
-from aoabench.config.presets import ALL, GROUPS, LISTS, options
+from aoabench.config.presets import ALL, GROUPS, LISTS, options, unread
 from aoabench.errors import Mistakes, UserError, did_you_mean, shorten
 from aoabench.maths.digest import flatten
 
@@ -88,11 +88,19 @@ def _explain(error: Exception, settings: Sequence[Setting], config_dir: str | No
     return _not_composed(error, settings)
 
 
+_MOST_ALLOWED = 12  # names in a message that proposes one
+
+
 def unknown_preset(group: str, name: str, known: Sequence[str]) -> str:
     """The message about a name that no preset of a group has."""
     every = [ALL, *known] if group in LISTS else known
     hint = did_you_mean(name, every)
-    allowed = f"{hint or ';'} allowed: {', '.join(every) or 'none'}"
+    if own := unread(group, name):
+        allowed = own
+    elif hint and len(every) > _MOST_ALLOWED:
+        allowed = f"{hint} allowed: those of `aoabench list {group}`"
+    else:
+        allowed = f"{hint or ';'} allowed: {', '.join(every) or 'none'}"
     return f"{group}={shorten(repr(name))}: unknown preset{allowed}"
 
 

@@ -27,7 +27,7 @@ def resolve(target: object, path: str, plugins: Sequence[str] = ()) -> type:
     """The class that a `_target_` names; UserError for a class that a config must not name."""
     allowed = (
         f"a dataclass in {', '.join(PLUG_INS)}, "
-        "or in a package listed in plugins=[...] on the command line"
+        f"or in a package of your own, named on the command line: 'plugins=[{_package(target)}]'"
     )
     key = f"{path}._target_"
     if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")):
@@ -49,6 +49,12 @@ def resolve(target: object, path: str, plugins: Sequence[str] = ()) -> type:
     if not _within(found.__module__, (*PLUG_INS, *plugins)):
         raise BadValue(key, target, allowed)
     return found
+
+
+def _package(target: object) -> str:
+    """The package that a `_target_` lies in, ... where it names none."""
+    first, dot, _ = str(target).partition(".")
+    return first if dot and first.isidentifier() and first != "aoabench" else "..."
 
 
 def _within(module: str, packages: Iterable[str]) -> bool:
@@ -181,11 +187,14 @@ def spelled_out(node: Any, plugins: Sequence[str] = ()) -> Any:
 @dataclasses.dataclass
 class Speller:
     """`spelled_out` for the nodes of one sweep; equal nodes share the result, which stays as it
-    is.
+    is. The plug-ins are imported first, so that all nodes have the defaults of their classes.
     """
 
     plugins: Sequence[str] = ()
     known: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        import_plugins(self.plugins)
 
     def __call__(self, node: Any) -> Any:
         text = repr(node)

@@ -12,6 +12,7 @@ GROUPS = ("scenario", "noise", "filter", "estimator", "runner", "experiment")
 LISTS = ("filter", "estimator")  # groups of which several presets can be chosen
 ALL = "all"  # in place of names in LISTS: every preset that fits
 _VARIANT = "variant:"
+_OWN = "conf"
 
 
 def options(group: str, config_dir: str | None = None) -> dict[str, str]:
@@ -26,6 +27,13 @@ def options(group: str, config_dir: str | None = None) -> dict[str, str]:
 def own_options(group: str, config_dir: str) -> dict[str, str]:
     """Presets of a config group in a user's folder, each with its description."""
     return {name: _described(lines) for name, lines in _heads(group, Path(config_dir))}
+
+
+def unread(group: str, name: str) -> str:
+    """How to read a preset in the folder that `aoabench new` writes to, "" if it is not there."""
+    file = Path(_OWN, group, f"{name}.yaml")
+    found = name.isidentifier() and file.is_file()
+    return f"; {file.as_posix()} is read with --config-dir {_OWN}" if found else ""
 
 
 def variants(group: str, config_dir: str | None = None) -> dict[str, str]:

@@ -5,8 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from aoabench.roles import Scenario
+from aoabench.roles import Estimator, Scenario
 
+_MEASURED = {  # names of roles.NEEDS that a recording offers: the measurements, and their columns
+    "elevation": ("elevations", "elevation"),
+    "delay": ("ranges", "range"),
+    "rssi": ("signal strengths", "rssi"),
+    "stated_sigma": ("deviations of angles", "azimuth_sigma"),
+}
 _NOISE = {"_target_": "aoabench.noise.recorded.Recorded"}
 
 
@@ -38,3 +44,16 @@ def as_recorded(
         elif reps < count:
             notes.append(f"reps={reps}: only the first {reps} of {count} tracks are run")
     return {**plain, "noise": _NOISE, "reps": reps}, {**choices, "noise": "recorded"}, tuple(notes)
+
+
+def unused(scenario: Scenario, estimators: Mapping[str, Estimator]) -> tuple[str, ...]:
+    """A note on the measurements of a recording that none of the estimators, by their dotted keys,
+    uses; nothing if there are none, or an estimator does not state what it uses.
+    """
+    tracks, each = scenario.tracks, [one.uses for one in estimators.values()]
+    if tracks is None or not each or None in each:
+        return ()
+    left = tracks.measured.offers().difference(*filter(None, each))
+    names = [f"{name} (scenario.columns.{at})" for n, (name, at) in _MEASURED.items() if n in left]
+    who = next(iter(estimators)) if len(each) == 1 else f"any of the {len(each)} methods"
+    return (f"in the log, and not used by {who}: {', '.join(names)}",) if names else ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -29,7 +30,7 @@ def check_out(out: Path, read: Sequence[str | None]) -> None:
     if out.suffix.lower() not in KINDS:
         raise BadValue("-o", str(out), f"a file that ends in {', '.join(KINDS)}")
     for name in read:
-        if name is not None and out.resolve() == Path(name).resolve():
+        if name is not None and os.path.realpath(out) == os.path.realpath(name):
             raise BadValue("-o", str(out), "another file than those that are read")
 
 

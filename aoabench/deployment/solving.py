@@ -10,6 +10,7 @@ import numpy as np
 from aoabench.engine.draws import Draws
 from aoabench.engine.threads import one_thread
 from aoabench.engine.tiles import tile_of, try_tile
+from aoabench.estimators.rays import POLE
 from aoabench.maths.geometry import Array, wrap
 from aoabench.roles import Estimator, Noise, Scenario
 from aoabench.types import Batch, Estimates
@@ -100,7 +101,8 @@ def at_height(estimates: Estimates, height_m: float | None) -> Estimates:
 
 def residuals_of(batch: Batch, position: Array, begin: int = 0) -> Residuals:
     """Residuals of the fixes at `position` (1, T, 3) m of one track, whose first fix has the index
-    `begin`. Where z is NaN, azimuths are those at the anchor's height.
+    `begin`. Where z is NaN, azimuths are those at the anchor's height; a measured elevation of
+    +-90 deg leaves none.
     """
     T = position.shape[1]
     seen = np.isfinite(batch.azimuth[0, :T]) & np.isfinite(position[0, :, :1])
@@ -114,5 +116,7 @@ def residuals_of(batch: Batch, position: Array, begin: int = 0) -> Residuals:
     d[flat, 2] = 0.0
     u, v, w = np.einsum("nij,nj->in", at(batch.anchors.rotation), d)
     azimuth = wrap(batch.azimuth[0, t, b] - np.arctan2(v, u))
-    elevation = batch.elevation[0, t, b] - np.arctan2(w, np.hypot(u, v))
+    measured = batch.elevation[0, t, b]
+    azimuth[np.abs(np.abs(measured) - np.pi / 2) < POLE] = np.nan
+    elevation = measured - np.arctan2(w, np.hypot(u, v))
     return Residuals(begin + t, at(batch.numbers), azimuth, np.where(flat, np.nan, elevation))

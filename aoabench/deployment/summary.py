@@ -29,6 +29,7 @@ _HEAD = ("time_s", "fix", "tag", "x_m", "y_m", "z_m", "sigma_major_m", "anchors_
 def head(frame: pd.DataFrame, most: int) -> Iterator[str]:
     """The first rows of the table, without columns that are empty throughout."""
     shown = frame.loc[:, [name for name in _HEAD if frame[name].notna().any()]].head(most)
+    shown = shown.astype({name: "Int64" for name in shown if name == "anchors_used"})
     text = shown.to_string(index=False, na_rep="", float_format=lambda value: f"{value:.3f}")
     yield from text.splitlines()
     if len(frame) > most:
@@ -86,15 +87,16 @@ def residual_lines(found: Residuals, ids: Sequence[str], sense: str) -> Iterator
         yield (
             f"large residuals of anchor {ids[b]}: its azimuths differ by {middle:.0f} deg from the "
             f"fixes (median; other anchors {rest:.2g} deg): is its facing_deg right, and does it "
-            "see the tag?"
+            "see the tag? estimator.robust_ml.loss=truncated locates without it"
         )
     many, most = len(azimuth) >= _FEW, np.quantile(np.abs(azimuth), 0.9)
-    if many and most > LARGE_DEG and not large:
+    if many and most > LARGE_DEG and (not large or np.median(np.abs(azimuth)) > LARGE_DEG):
         other = "counterclockwise" if sense == "clockwise" else "clockwise"
         yield (
             f"large residuals: 10 % of the azimuths differ by more than {most:.0f} deg from the "
             "fixes, where some 10 deg are usual: is scenario.azimuth_sense right "
-            f"(now {sense}, else {other}), and are the anchors' positions and facing_deg?"
+            f"(now {sense}, else {other}), are scenario.frame and azimuth_zero_deg, and are the "
+            "anchors' positions and facing_deg?"
         )
 
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from aoabench.devices.geodesy import Origin, check_degrees, degree_columns
 from aoabench.devices.locators import is_config, read_locators
-from aoabench.devices.readers.columns import header, shown_columns
+from aoabench.devices.readers.columns import found_column, header, shown_columns
 from aoabench.devices.readers.table import Table
 from aoabench.errors import BadValue, did_you_mean
 from aoabench.maths.geometry import Array, euler
@@ -45,6 +45,7 @@ SCHEMA = (
     "place of facing_deg"
 )
 MOST_DEG = 360.0
+FAR_M = 2000.0  # anchors are rarely farther apart
 # what people call an optional column; such a column is never left out in silence
 _OTHER_WORDS = {
     "z_m": ("z", "height", "altitude"),
@@ -88,7 +89,7 @@ class AnchorsFile(NamedTuple):
 
 def read_anchors(key: str, path: str, origin: Origin | None = None) -> AnchorsFile:
     """The anchors of a table in the columns above, or of a positioning_config.json; other columns
-    are not read.
+    are not read. Names may have another case and other marks: `X (m)` is x_m.
 
     Degrees are converted to local coordinates at `origin`, or at the anchors' centroid. Raises
     BadValue for a missing or repeated column, for a column that looks like a misspelt one, for
@@ -118,7 +119,7 @@ def read_anchors(key: str, path: str, origin: Origin | None = None) -> AnchorsFi
         ids,
         Anchors(np.stack(places, axis=-1), _rotations(*turns)),
         turns[0] if {"facing_deg", COMPASS} & set(named) else None,
-        (*table.notes, *notes, *_doubts(path, facing), *_high(path, *places)),
+        (*table.notes, *notes, *_doubts(path, facing), *_far(path, *places), *_high(path, *places)),
         "id" not in named,
         _numbers(table, "clock_offset_s") if "clock_offset_s" in named else None,
         origin,
@@ -150,18 +151,19 @@ def _columns(key: str, path: str, present: Sequence[str]) -> dict[str, str]:
     """The columns to read, ours mapped to the file's; raises BadValue for columns that are missing,
     repeated or nearly called as in the schema.
     """
-    degrees = None if "x_m" in present or "y_m" in present else degree_columns(present)
+    named = {name: one for name in COLUMNS if (one := found_column([name], present)) is not None}
+    degrees = None if "x_m" in named or "y_m" in named else degree_columns(present)
     required = REQUIRED if degrees is None else ()
     for name in COLUMNS:
-        if present.count(name) > 1 or (name in required and name not in present):
-            hint = _hint(name, [one for one in present if one not in COLUMNS])
+        if present.count(name) > 1 or (name in required and name not in named):
+            hint = _hint(name, [one for one in present if one not in named.values()])
             raise BadValue(key, path, f"{SCHEMA}; it has {shown_columns(present)}{hint}")
-    named = {name: name for name in COLUMNS if name in present}
     if COMPASS in named and "facing_deg" in named:
         raise BadValue(key, path, f"either facing_deg or {COMPASS}; it has both")
     if degrees is not None:
-        if "z_m" in present and degrees[2] != "z_m":
-            raise BadValue(key, path, f"one column of heights; it has {degrees[2]} and z_m")
+        if "z_m" in named and degrees[2] != named["z_m"]:
+            both = f"{degrees[2]} and {named['z_m']}"
+            raise BadValue(key, path, f"one column of heights; it has {both}")
         known = {ours: theirs for ours, theirs in zip(DEGREES, degrees) if theirs is not None}
         named = {name: one for name, one in named.items() if name != "z_m"} | known
     _check_similar(key, path, present, named)
@@ -208,6 +210,14 @@ def _doubts(path: str, facing_deg: Array) -> list[str]:
     if not len(turned) or not odd.all() or np.abs(turned).max() > 2 * np.pi + 1e-2:
         return []
     return [f"{path}: facing_deg has multiples of pi/4; facings are read in deg, not in rad"]
+
+
+def _far(path: str, x: Array, y: Array, z: Array) -> list[str]:
+    """A warning line if anchors (B,) m are farther apart than one site is, else an empty list."""
+    span = max(np.ptp(x), np.ptp(y))
+    if span <= FAR_M:
+        return []
+    return [f"{path}: x_m and y_m span {span:.6g} and are read in m; are they in mm or cm?"]
 
 
 def _high(path: str, x: Array, y: Array, z: Array) -> list[str]:

@@ -117,7 +117,7 @@ def _record(run: Path, cell: str | None) -> dict[str, Any]:
     """The record of one cell of the run; UserError if the run or the cell does not exist."""
     cells = list(folder.record_files(run))
     if not cells:
-        raise UserError(f"{run}: no results here; allowed: the runner.out folder of a finished run")
+        raise folder.no_results(run)
     if cell is None and len(cells) > 1:
         raise UserError(f"--cell: this run has several cells; allowed: {', '.join(cells)}")
     chosen = cell or cells[0]

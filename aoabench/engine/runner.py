@@ -261,6 +261,7 @@ class _Run:
         estimator-replications recorded.
         """
         timings, shown = Timings(index.read(self.out, self.keys).timing()), 0
+        hidden = 0
         going = [cell for cell in self.cells if tabulate and cell.id not in self.stopped]
         for cell in (c for c in going if c.reps < FEW):  # quickly measured
             timings.measure(cell, self.keys[cell.id])
@@ -271,7 +272,14 @@ class _Run:
                 reps = {name: self._prefix(cell, key) for name, key in keys.items()}
             shown += sum(reps.values())
             precision = self.precision.get(cell.id, {})
-            record_cell(self.out, cell, keys, self.draws[cell.id], timings.known, reps, precision)
+            more = record_cell(
+                self.out, cell, keys, self.draws[cell.id], timings.known, reps, precision
+            )
+            hidden = max(hidden, more)
+        if hidden and tabulate and not self.stopped:
+            report(
+                f"the tables now show fewer replications than are stored; reps={hidden} shows all"
+            )
         if tabulate:
             tables.collect(self.out, {cell.id for cell in self.cells})
         late: dict[str, Any] = {}

@@ -49,6 +49,7 @@ class _OnPlane(Estimator):
     clip: bool = clip_param()
     tile = 8
     by_replication = True
+    uses = frozenset({"elevation", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:
@@ -122,6 +123,8 @@ class BestAnchor(_OnPlane):
 @dataclass(frozen=True)
 class RssiAnchor(_OnPlane):
     """The position from the anchor that received the strongest signal."""
+
+    uses = _OnPlane.uses | {"rssi"}
 
     @property
     def needs(self) -> frozenset[str]:

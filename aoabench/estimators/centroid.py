@@ -41,6 +41,7 @@ class WeightedCentroid(Compiled, Estimator):
     heard_only = True
     kernels = "kernels.centroid"
     per_step = True
+    uses = frozenset({"elevation", "delay", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:

@@ -90,6 +90,8 @@ class Discrepancy(Compiled, Estimator):
         for sigma in (self.azimuth_sigma_deg, self.elevation_sigma_deg):
             check_number("r_sigma", self.r_sigma, above=0, most=90 / sigma)
 
+    uses = frozenset({"elevation"})
+
     @property
     def needs(self) -> frozenset[str]:
         return frozenset({"elevation"} | ({"height"} if self.height_m is None else set()))

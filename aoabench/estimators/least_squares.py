@@ -31,6 +31,7 @@ from aoabench.estimators.rays import (
     off_the_poles,
     rays,
     residual_variance,
+    those,
 )
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
@@ -64,6 +65,7 @@ class LeastSquares(Compiled, Estimator):
     heard_only = True
     per_step = True
     kernels = KERNELS
+    uses = frozenset({"elevation", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:
@@ -83,15 +85,17 @@ class LeastSquares(Compiled, Estimator):
         if compiled is None:
             return planes(turned, self.rows)
         found = by_kernel(compiled, batch, self.rows)
-        return replaced(found, planes(turned, self.rows), at_pole) if at_pole.any() else found
+        if not at_pole.any():
+            return found
+        return replaced(found, planes(those(turned, at_pole), self.rows), at_pole)
 
 
 def replaced(found: Estimates, others: Estimates, fixes: np.ndarray) -> Estimates:
-    """The estimates with some `fixes`, a mask (R, T), taken from others."""
+    """The estimates with N `fixes`, a mask (R, T), taken from others (1, N)."""
     for f in dataclasses.fields(Estimates):
         into, value = getattr(found, f.name), getattr(others, f.name)
         if into is not None:
-            into[fixes] = value[fixes]
+            into[fixes] = value[0]
     return found
 
 

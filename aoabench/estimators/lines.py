@@ -139,6 +139,7 @@ class LineLeastSquares(Compiled, Estimator):
     heard_only = True
     per_step = True
     kernels = KERNELS
+    uses = frozenset({"elevation", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:
@@ -172,6 +173,7 @@ class AnchorDiscarding(Compiled, Estimator):
     heard_only = True
     per_step = True
     kernels = KERNELS
+    uses = frozenset({"elevation", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:

@@ -45,6 +45,7 @@ from aoabench.estimators.rays import (
     off_the_poles,
     rays,
     residual_variance,
+    those,
 )
 from aoabench.kernels.loading import Compiled, engine_param
 from aoabench.maths.geometry import Array
@@ -84,6 +85,7 @@ class GaussNewton(Compiled, Estimator):
     heard_only = True
     per_step = True
     kernels = KERNELS
+    uses = frozenset({"elevation", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:
@@ -102,7 +104,9 @@ class GaussNewton(Compiled, Estimator):
         variant = AZIMUTHS.index(self.azimuth), printed
         found = by_kernel(compiled, batch, self.start, variant, self.tolerance_m, self.updates)
         turned, at_pole = off_the_poles(batch)
-        return replaced(found, self.in_numpy(turned), at_pole) if at_pole.any() else found
+        if not at_pole.any():
+            return found
+        return replaced(found, self.in_numpy(those(turned, at_pole)), at_pole)
 
     def in_numpy(self, batch: Batch) -> Estimates:
         """The estimates of a tile in NumPy."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from aoabench.maths.geometry import Array, to_unit
 from aoabench.maths.linalg import ONE_PLACE
-from aoabench.types import Batch, Outcome, Reason
+from aoabench.types import Anchors, Batch, Outcome, Reason
 
 FAR = 1e6  # multiple of the anchors' extent; a fix farther from their centre is DIVERGED
 POLE = 1e-6  # rad: an elevation this near to +-90 deg leaves the azimuth undefined
@@ -102,6 +102,23 @@ def off_the_poles(batch: Batch) -> tuple[Batch, np.ndarray]:
         anchors=replace(batch.anchors, rotation=rotation),
     )
     return found, np.asarray(at_pole.any(axis=-1))
+
+
+def those(batch: Batch, fixes: np.ndarray) -> Batch:
+    """The batch (1, N, B) of N fixes of a snapshot batch, by a mask (R, T)."""
+
+    def chosen(a: np.ndarray) -> np.ndarray:
+        return np.asarray(np.broadcast_to(a, (*fixes.shape, *a.shape[2:]))[fixes][None])
+
+    def anchors(given: Anchors) -> Anchors:
+        return Anchors(**{name: chosen(a) for name, a in given.arrays.items()})
+
+    given = {n: a for n, a in batch.arrays.items() if a is not None and not n.startswith("prior")}
+    return Batch(
+        anchors=anchors(batch.anchors),
+        known=None if batch.known is None else anchors(batch.known),
+        **{name: chosen(a) for name, a in given.items()},
+    )
 
 
 def occupied(batch: Batch) -> Batch:

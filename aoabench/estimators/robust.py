@@ -116,6 +116,15 @@ class RobustLikelihood(Compiled, Estimator):
         found = {"several_anchors"} if several and self.range_sigma_m is None else set()
         return frozenset(found | ({"stated_sigma"} if self.stated else set()))
 
+    @property
+    def uses(self) -> frozenset[str]:  # type: ignore[override]
+        chosen = {
+            "elevation": self.elevation_sigma_deg is not None,
+            "delay": self.range_sigma_m is not None,
+            "stated_sigma": self.stated,
+        }
+        return frozenset(name for name, used in chosen.items() if used)
+
     def check(self, scenario: Scenario, noise: Noise) -> None:
         """Raise Unfit as all estimators do, and if a single anchor measures but not two of these:
         the height is known, elevations are measured, ranges are.

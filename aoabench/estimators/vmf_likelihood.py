@@ -75,6 +75,7 @@ class VmfLikelihood(Compiled, Estimator):
     heard_only = True
     per_step = True
     kernels = "kernels.vmf"
+    uses = frozenset({"elevation", "stated_sigma"})
 
     @property
     def needs(self) -> frozenset[str]:

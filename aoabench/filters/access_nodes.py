@@ -84,6 +84,10 @@ class AccessNodeEKF(Compiled, GaussianFilter):
     def needs(self) -> frozenset[str]:
         return frozenset({"motion", "prior"} | ({"delay"} if self.toa else set()))
 
+    @property
+    def uses(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset({"elevation", "stated_sigma"} | ({"delay"} if self.toa else set()))
+
     def recursion(self, batch: Batch, scenario: Scenario, whole: bool = False) -> Recursion:
         belief = believed(batch, scenario)
         if self.toa and (batch.delay is None or batch.delay_sigma is None):

@@ -65,6 +65,10 @@ class RTSSmoother(Estimator):
     def needs(self) -> frozenset[str]:
         return self.filter.needs
 
+    @property
+    def uses(self) -> frozenset[str] | None:  # type: ignore[override]
+        return self.filter.uses
+
     def check(self, scenario: Scenario, noise: Noise) -> None:
         self.filter.check(scenario, noise)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -90,13 +91,46 @@ def given(dimensions: int, dtype: Any = types.float64) -> types.Array:
     return types.Array(dtype, dimensions, "C", readonly=True)
 
 
+class InFolder:
+    """Where numba keeps a kernel: in the folder that stands for its source, so that a second clone
+    or a new installation finds it.
+    """
+
+    def __init__(self, folder: str) -> None:
+        self.folder = folder
+
+    @classmethod
+    def from_function(cls, _function: Any, _file: str) -> InFolder:
+        """The place of a function that is decorated now."""
+        return cls(config.CACHE_DIR)
+
+    def ensure_cache_path(self) -> None:
+        """Create the folder if somebody deleted it."""
+        Path(self.folder).mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """The folder."""
+        return self.folder
+
+    def get_source_stamp(self) -> str:
+        """The folder's name, which holds a hash of the source."""
+        return Path(self.folder).name
+
+    def get_disambiguator(self) -> str:
+        """A part of the file's name; a module has one kernel of a name."""
+        return "kernel"
+
+
 @contextmanager
 def _cache_folder(folder: Any) -> Iterator[None]:
     """numba caches functions decorated in this context in `folder`, afterwards where it did."""
     with _one_at_a_time:
-        before = config.CACHE_DIR
-        config.CACHE_DIR = str(folder or before)
+        own = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": f"{__name__}.InFolder"}
+        before = {name: getattr(config, name) for name in own if folder is not None}
         try:
+            for name in before:
+                setattr(config, name, own[name])
             yield
         finally:
-            config.CACHE_DIR = before
+            for name, value in before.items():
+                setattr(config, name, value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
@@ -29,6 +30,7 @@ _MODULES = (
     "smoother",
 )
 Say = Callable[[str], None]
+_waited_s = [0.0]  # in this process, see waited_s
 _collected: ContextVar[list[Any] | None] = ContextVar("collected", default=None)
 
 
@@ -126,10 +128,16 @@ def kernels_of(module: ModuleType, entries: Sequence[str] = ()) -> list[Any]:
     return [k for name in names if isinstance(k := getattr(module, name), Kernel)]
 
 
+def waited_s() -> float:
+    """Seconds that `prepare` and `together` have taken in this process, to compile or load."""
+    return _waited_s[0]
+
+
 def _compile(kernels: Sequence[Any], say: Say) -> None:
     """Compile or load kernels, with the help of other processes if several were never compiled."""
     if not kernels:
         return
+    begin = time.perf_counter()
     missing = [kernel for kernel in kernels if not kernel.noted]
     if missing:
         say(_compiling(missing[0].kept))
@@ -137,6 +145,7 @@ def _compile(kernels: Sequence[Any], say: Say) -> None:
     with helping(others[::-1]), nullcontext() if missing else _reporting(say, kernels):
         for kernel in kernels:
             kernel.ready()
+    _waited_s[0] += time.perf_counter() - begin
 
 
 def _compiling(kept: Kept) -> str:

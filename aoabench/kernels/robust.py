@@ -14,6 +14,7 @@ from aoabench.kernels.angles import sine_cosine
 from aoabench.kernels.compile import called, given, inlined, kernel
 from aoabench.kernels.planes import SAME_PLACE, UNKNOWN, fill
 from aoabench.kernels.robust_likelihood import (
+    CHUNK,
     ID,
     LANES,
     NORMAL,
@@ -28,12 +29,15 @@ from aoabench.kernels.robust_likelihood import (
     R21,
     R22,
     RANGE,
+    RHO2,
+    ROWS,
     SA,
     SE,
     SR,
     THETA,
     TRUNCATED,
     WR,
+    D,
     X,
     Y,
     Z,
@@ -85,7 +89,7 @@ from aoabench.kernels.snapshot import FAR
 
 
 @called
-def best_start(loss, k, flat, z, q, d, l, n, ranges, g, firsts):
+def best_start(loss, k, flat, z, q, d, l, n, ranges, g, firsts, work):
     """The candidate of least cost, and that cost, infinite without a candidate."""
     bx, by, bz, least, count = UNKNOWN, UNKNOWN, UNKNOWN, math.inf, 0
     m = grouped(q, l, n, g, firsts)
@@ -109,7 +113,7 @@ def best_start(loss, k, flat, z, q, d, l, n, ranges, g, firsts):
             else:
                 sound = False
             if sound:
-                residuals(x, y, w, q, d, n, ranges)
+                residuals(x, y, w, q, d, n, ranges, work)
                 c = costs(loss, k, STEEP, d, n, ranges)
                 if not c >= least * (1.0 - EVEN) - ROUNDING:
                     bx, by, bz, least = x, y, w, c
@@ -138,7 +142,7 @@ def apart(flat, q, n):
 
 
 @called
-def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges):
+def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges, w):
     """Damped Gauss-Newton steps from (x, y, z): the position, outcome, reason, number of updates
     and cost.
     """
@@ -153,7 +157,7 @@ def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges):
         far2 = max(far2, q[X, j] * q[X, j] + q[Y, j] * q[Y, j] + q[Z, j] * q[Z, j])
         far2 = max(far2, q[RANGE, j] * q[RANGE, j])
     far2 *= FAR * FAR
-    residuals(x, y, z, q, d, n, ranges)
+    residuals(x, y, z, q, d, n, ranges, w)
     for _ in range(updates):
         weigh(loss, k, m, q, d, n, ranges)
         now = costs(loss, k, m, d, n, ranges)
@@ -165,7 +169,7 @@ def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges):
             outcome, reason = DIVERGED, NO_DESCENT
             break
         tx, ty, tz = x + dx, y + dy, z + dz
-        pole2 = residuals(tx, ty, tz, q, d, n, ranges)
+        pole2 = residuals(tx, ty, tz, q, d, n, ranges, w)
         better = costs(loss, k, m, d, n, ranges) <= now * (1.0 + SLACK) + ROUNDING
         if better:
             x, y, z = tx, ty, tz
@@ -182,25 +186,25 @@ def descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges):
                 break
         m = min(m * GROWTH, STEEP)
         if not better:
-            residuals(x, y, z, q, d, n, ranges)
-    residuals(x, y, z, q, d, n, ranges)
+            residuals(x, y, z, q, d, n, ranges, w)
+    residuals(x, y, z, q, d, n, ranges, w)
     return x, y, z, outcome, reason, count, costs(loss, k, STEEP, d, n, ranges)
 
 
 @inlined
-def minimum(loss, k, tolerance, updates, flat, x, y, z, q, d, n, ranges):
+def minimum(loss, k, tolerance, updates, flat, x, y, z, q, d, n, ranges, w):
     """The minimum below (x, y, z), as `descended`; the better of two for a truncated loss."""
-    found = descended(loss, k, tolerance, updates, flat, x, y, z, STEEP, q, d, n, ranges)
+    found = descended(loss, k, tolerance, updates, flat, x, y, z, STEEP, q, d, n, ranges, w)
     if loss != TRUNCATED:
         return found
-    residuals(x, y, z, q, d, n, ranges)
+    residuals(x, y, z, q, d, n, ranges, w)
     s = 0.0
     for j in range(n):
         s = max(s, max(d[SA, j], d[SE, j]))
         if ranges > 0:
             s = max(s, d[SR, j])
     m = min(max(k * k / max(2.0 * s - k * k, TINY), 1.0 / STEEP), STEEP)
-    other = descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges)
+    other = descended(loss, k, tolerance, updates, flat, x, y, z, m, q, d, n, ranges, w)
     lower = other[6] < found[6] * (1.0 - EVEN) - ROUNDING
     return other if (lower if other[3] == found[3] else other[3] < found[3]) else found
 
@@ -256,7 +260,12 @@ def robust(
     (R|1, T|1, B, 3, 3); `height` is NaN where z is estimated.
     """
     B, known = phi.shape[2], height == height
-    q, d, l = np.empty((19, B + LANES)), np.empty((12, B + LANES)), np.empty((9, B + LANES))
+    work, l = np.empty(ROWS * CHUNK), np.empty((9, B + LANES))
+    if B + LANES > CHUNK:
+        q, d = np.empty((D, B + LANES)), np.empty((RHO2, B + LANES))
+    else:
+        q = work[: D * CHUNK].reshape(D, CHUNK)
+        d = work[D * CHUNK : (D + RHO2) * CHUNK].reshape(RHO2, CHUNK)
     g, firsts = np.empty((9, B + 1)), np.empty(B + 1, np.intp)
     for i in range(phi.shape[0]):
         for t in range(phi.shape[1]):
@@ -286,7 +295,7 @@ def robust(
             count[i, t], score[i, t], used[i, t], P[i, t] = 0.0, UNKNOWN, n, UNKNOWN
             x, y, w, sound = nearest_to_all(flat, z, l, n)
             if not plain and not together:
-                x, y, w, least = best_start(rho, k, flat, z, q, d, l, n, ranges, g, firsts)
+                x, y, w, least = best_start(rho, k, flat, z, q, d, l, n, ranges, g, firsts, work)
                 sound = least < math.inf
             if together | (not sound) | (n < (1 if alone else 2)):
                 p[i, t], outcome[i, t] = UNKNOWN, FAILED
@@ -297,9 +306,9 @@ def robust(
             outcome[i, t], reason[i, t] = OK, NONE
             if not plain:
                 x, y, w, outcome[i, t], reason[i, t], count[i, t], least = minimum(
-                    rho, k, tolerance, updates, flat, x, y, w, q, d, n, ranges
+                    rho, k, tolerance, updates, flat, x, y, w, q, d, n, ranges, work
                 )
-            residuals(x, y, w, q, d, n, ranges)
+            residuals(x, y, w, q, d, n, ranges, work)
             squares = weigh(loss, k, STEEP, q, d, n, ranges)
             if redundancy > 0:
                 score[i, t] = math.sqrt(

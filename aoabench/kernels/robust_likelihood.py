@@ -14,11 +14,14 @@ from aoabench.kernels.compile import called, inlined
 from aoabench.kernels.robust_limits import FLAT, TINY
 from aoabench.kernels.small import solve
 
-LANES = 4
+LANES, CHUNK = 8, 64  # anchors at a time
+FACTORS = 4  # anchors of a product, which is finite up to s = 1e37
 NORMAL, STUDENT, HUBER, TRUNCATED = range(4)
 PHI, THETA, WA, WE, X, Y, Z = range(7)  # rows of q; then those of the rotation
 R00, R01, R02, R10, R11, R12, R20, R21, R22, RANGE, WR, ID = range(7, 19)
 DA, DE, SA, SE, U, V, W, CA, CE, DR, SR, CR = range(12)  # rows of d; the last three of ranges
+D, RHO2 = ID + 1, CR + 1  # rows of w: those of q, from D on those of d, and D + RHO2
+ROWS = D + RHO2 + 1
 
 
 @inlined
@@ -47,21 +50,36 @@ def cost(loss, k, m, s):
     return s
 
 
+@inlined
+def logarithms(k, d, n, ranges):
+    """The sum of log(1 + s / k) over the squared deviations s of the first n anchors: that of
+    products, which takes an eighth of the logarithms.
+    """
+    total = 0.0
+    for first in range(0, n, FACTORS):
+        product = 1.0
+        for j in range(first, min(first + FACTORS, n)):
+            product *= (1.0 + d[SA, j] / k) * (1.0 + d[SE, j] / k)
+        total += math.log(product)
+        if ranges > 0:
+            product = 1.0
+            for j in range(first, min(first + FACTORS, n)):
+                product *= 1.0 + d[SR, j] / k
+            total += math.log(product)
+    return total
+
+
 @called
 def costs(loss, k, m, d, n, ranges):
     """Half the sum of rho over the first n anchors."""
     total = 0.0
-    for j in range(n):
-        if loss == STUDENT:
-            total += (k + 1.0) * math.log((1.0 + d[SA, j] / k) * (1.0 + d[SE, j] / k))
-        else:
-            total += cost(loss, k, m, d[SA, j]) + cost(loss, k, m, d[SE, j])
-    if ranges > 0:
+    if loss == STUDENT:
+        total = (k + 1.0) * logarithms(k, d, n, ranges)
+    else:
         for j in range(n):
-            if loss == STUDENT:
-                total += (k + 1.0) * math.log(1.0 + d[SR, j] / k)
-            else:
-                total += cost(loss, k, m, d[SR, j])
+            total += cost(loss, k, m, d[SA, j]) + cost(loss, k, m, d[SE, j])
+        for j in range(n if ranges > 0 else 0):
+            total += cost(loss, k, m, d[SR, j])
     return 0.5 * total
 
 
@@ -192,29 +210,51 @@ def at_range(flat, z, q, i):
 
 
 @called
-def residuals(x, y, z, q, d, n, ranges):
+def residuals(x, y, z, q, d, n, ranges, w):
     """Write differences, squared deviations and the anchors' views of (x, y, z) into d; the least
     squared distance from a pole.
+
+    w (ROWS * CHUNK,) has CHUNK places for each row of q, of d and for the squared distances. Up to
+    CHUNK anchors, q and d are parts of w; more are copied there and back. The compiler vectorises
+    the loop because all of it is in one array, with a constant distance from row to row.
     """
-    least = math.inf
-    for j in range(n + -n % LANES):
-        dx, dy, dz = x - q[X, j], y - q[Y, j], z - q[Z, j]
-        u = q[R00, j] * dx + q[R01, j] * dy + q[R02, j] * dz
-        v = q[R10, j] * dx + q[R11, j] * dy + q[R12, j] * dz
-        w = q[R20, j] * dx + q[R21, j] * dy + q[R22, j] * dz
-        rho2 = max(u * u + v * v, TINY)
-        rho = math.sqrt(rho2)
-        da = wrapped(q[PHI, j] - angle(v, u, rho))
-        de = q[THETA, j] - angle(w, rho, math.sqrt(rho2 + w * w))
-        d[DA, j], d[DE, j], d[U, j], d[V, j], d[W, j] = da, de, u, v, w
-        d[SA, j], d[SE, j] = q[WA, j] * da * da, q[WE, j] * de * de
-        least = min(least, rho2)
+    least, padded, copied = math.inf, n + -n % LANES, q.shape[1] > CHUNK
+    for first in range(0, padded, CHUNK):
+        size = min(padded - first, CHUNK)
+        for i in range(RANGE if copied else 0):
+            for l in range(size):
+                w[CHUNK * i + l] = q[i, first + l]
+        for l in range(size):
+            viewed(x, y, z, l, w)
+        for i in range(CA if copied else 0):
+            for l in range(size):
+                d[i, first + l] = w[CHUNK * (D + i) + l]
+        for l in range(size):
+            least = min(least, w[CHUNK * (D + RHO2) + l])
     if ranges > 0:
-        for j in range(n + -n % LANES):
-            u, v, w = d[U, j], d[V, j], d[W, j]
-            d[DR, j] = q[RANGE, j] - math.sqrt(max(u * u + v * v, TINY) + w * w)
+        for j in range(padded):
+            u, v, t = d[U, j], d[V, j], d[W, j]
+            d[DR, j] = q[RANGE, j] - math.sqrt(max(u * u + v * v, TINY) + t * t)
             d[SR, j] = q[WR, j] * d[DR, j] * d[DR, j]
     return least
+
+
+@inlined
+def viewed(x, y, z, l, w):
+    """Write what `residuals` finds for the anchor in place l of w."""
+    dx, dy, dz = x - w[CHUNK * X + l], y - w[CHUNK * Y + l], z - w[CHUNK * Z + l]
+    u = w[CHUNK * R00 + l] * dx + w[CHUNK * R01 + l] * dy + w[CHUNK * R02 + l] * dz
+    v = w[CHUNK * R10 + l] * dx + w[CHUNK * R11 + l] * dy + w[CHUNK * R12 + l] * dz
+    t = w[CHUNK * R20 + l] * dx + w[CHUNK * R21 + l] * dy + w[CHUNK * R22 + l] * dz
+    rho2 = max(u * u + v * v, TINY)
+    rho = math.sqrt(rho2)
+    da = wrapped(w[CHUNK * PHI + l] - angle(v, u, rho))
+    de = w[CHUNK * THETA + l] - angle(t, rho, math.sqrt(rho2 + t * t))
+    w[CHUNK * (D + DA) + l], w[CHUNK * (D + DE) + l] = da, de
+    w[CHUNK * (D + SA) + l] = w[CHUNK * WA + l] * da * da
+    w[CHUNK * (D + SE) + l] = w[CHUNK * WE + l] * de * de
+    w[CHUNK * (D + U) + l], w[CHUNK * (D + V) + l] = u, v
+    w[CHUNK * (D + W) + l], w[CHUNK * (D + RHO2) + l] = t, rho2
 
 
 @called

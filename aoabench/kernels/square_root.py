@@ -20,19 +20,17 @@ LOST = 32.0 * EPS  # share of a diagonal element; a pivot below it is rounding e
 
 @spliced
 def predict(tile, x, root, F, Q, P, FR, Fx):
-    """Predict: x = F x, and the lower half of P = F root (F root)^T + Q with an increased diagonal.
-
-    The increase exceeds the rounding errors of the sums and of the Cholesky factor, so that P is
-    positive definite.
+    """Predict by F and Q (n, n): x = F x, and the lower half of P = F root (F root)^T + Q with an
+    increased diagonal.
     """
     n = len(x)
-    raised = 1.0 + 2.0 * n * n * EPS
     for i in range(n):
         for r in range(tile):
             Fx[i, r] = 0.0
         for j in range(n):
             for r in range(tile):
                 FR[i, j, r] = 0.0
+                P[i, j, r] = Q[i, j]
         for l in range(n):
             f = F[i, l]
             if f != 0.0:
@@ -41,12 +39,22 @@ def predict(tile, x, root, F, Q, P, FR, Fx):
                 for j in range(max(l + 1, 3)):
                     for r in range(tile):
                         FR[i, j, r] += f * root[l, j, r]
+    summed(tile, x, P, FR, Fx)
+
+
+@spliced
+def summed(tile, x, P, FR, Fx):
+    """Write F x into x, and add F root (F root)^T to the lower half of P, whose diagonal increases.
+
+    The increase exceeds the rounding errors of the sums and of the Cholesky factor, so that P is
+    positive definite.
+    """
+    n = len(x)
+    raised = 1.0 + 2.0 * n * n * EPS
     for i in range(n):
         for r in range(tile):
             x[i, r] = Fx[i, r]
         for j in range(i + 1):
-            for r in range(tile):
-                P[i, j, r] = Q[i, j]
             for l in range(n):
                 for r in range(tile):
                     P[i, j, r] += FR[i, l, r] * FR[j, l, r]
@@ -88,13 +96,13 @@ def fill(tile, start, k, matrices, out):
 def predict_each(tile, x, root, F, Q, P, FR, Fx):
     """`predict` with F and Q (n, n, tile) of each replication."""
     n = len(x)
-    raised = 1.0 + 2.0 * n * n * EPS
     for i in range(n):
         for r in range(tile):
             Fx[i, r] = 0.0
         for j in range(n):
             for r in range(tile):
                 FR[i, j, r] = 0.0
+                P[i, j, r] = Q[i, j, r]
         for l in range(n):
             some = False
             for r in range(tile):
@@ -105,17 +113,7 @@ def predict_each(tile, x, root, F, Q, P, FR, Fx):
                 for j in range(max(l + 1, 3)):
                     for r in range(tile):
                         FR[i, j, r] += F[i, l, r] * root[l, j, r]
-    for i in range(n):
-        for r in range(tile):
-            x[i, r] = Fx[i, r]
-        for j in range(i + 1):
-            for r in range(tile):
-                P[i, j, r] = Q[i, j, r]
-            for l in range(n):
-                for r in range(tile):
-                    P[i, j, r] += FR[i, l, r] * FR[j, l, r]
-        for r in range(tile):
-            P[i, i, r] *= raised
+    summed(tile, x, P, FR, Fx)
 
 
 @spliced

@@ -19,6 +19,9 @@ from dataclasses import dataclass
 from typing import Any
 
 Interval = tuple[float, float]
+# beyond it the expansion is none, and the interval would leave its own number out; quantiles among
+# values that differ by orders of magnitude have such a skewness, means have not
+_MOST_SKEW = 3.0
 
 
 @dataclass(frozen=True)
@@ -66,12 +69,15 @@ class Estimate:
         return float(2 * stdtr(self.units - 1, -max(y, 0.0))) if self.units > 1 else math.nan
 
     def _skews(self) -> tuple[float, float]:
-        """The skewness minus and plus two standard errors, those of normal values."""
-        n = self.units
-        if n < 3 or math.isinf(n):
-            return self.skew, self.skew
-        margin = 2 * math.sqrt(6 * (n - 1) / ((n - 2) * (n + 1) * (n + 3)))
-        return self.skew - margin, self.skew + margin
+        """The skewness minus and plus two standard errors, those of normal values, both within
+        +- _MOST_SKEW.
+        """
+        n, margin = self.units, 0.0
+        if n >= 3 and math.isfinite(n):
+            margin = 2 * math.sqrt(6 * (n - 1) / ((n - 2) * (n + 1) * (n + 3)))
+        ends = self.skew - margin, self.skew + margin
+        least, most = (min(max(end, -_MOST_SKEW), _MOST_SKEW) for end in ends)
+        return least, most
 
     def __mul__(self, factor: float) -> Estimate:
         """The estimate times a factor, for another unit."""

@@ -47,6 +47,10 @@ class AzEl(Measurement):
     unstated_deg: Sequence[float] = unstated_param()
     kernel = "azel"
 
+    @property
+    def uses(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset({"elevation"} | ({"stated_sigma"} if self.sigmas() is None else set()))
+
     def sigmas(self) -> tuple[float, float] | None:
         """Deviations (azimuth, elevation) in rad, or None for the measurements' own."""
         return None if self.sigma_deg is None else (math.radians(self.sigma_deg),) * 2

@@ -48,6 +48,10 @@ class UnitVector(Measurement):
         """Elevations: a direction has both angles."""
         return frozenset({"elevation"})
 
+    @property
+    def uses(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset({"elevation"} | ({"stated_sigma"} if self.kappa is None else set()))
+
     def deviations(self, batch: Batch) -> tuple[Array, Array]:
         """Nominal deviations (R|1, T|1, B) rad of azimuths and elevations, or 1 / sqrt(kappa)."""
         if self.kappa is not None:

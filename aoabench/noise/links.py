@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -30,14 +30,21 @@ class Links:
         """Normal numbers (3, N, T, K) of N replications, from the `first` on, of the tile; 0 where
         there is no link.
         """
-        e = np.zeros((len(rngs), 3, *self.numbers.shape[1:]))
+        shape = self.numbers.shape[1:]
+        e = np.zeros((len(rngs), 3, shape[0] * shape[1]))
         for i, rng in enumerate(rngs):
-            there = self.numbers[first + i if len(self.numbers) > 1 else 0] >= 0
-            if there.all():
+            there = self._there[first + i if len(self.numbers) > 1 else 0]
+            if len(there) == e.shape[2]:
                 rng.standard_normal(out=e[i])
-            else:
-                e[i][:, there] = rng.standard_normal((3, int(there.sum())))
-        return np.swapaxes(e, 0, 1)
+            else:  # row by row: five times as fast as all rows at once
+                for row, values in zip(e[i], rng.standard_normal((3, len(there)))):
+                    row[there] = values
+        return np.swapaxes(e.reshape(len(rngs), 3, *shape), 0, 1)
+
+    @cached_property
+    def _there(self) -> list[np.ndarray]:
+        """The places of the links among the T K ones, by replication (R|1)."""
+        return [np.flatnonzero(numbers >= 0) for numbers in self.numbers]
 
 
 @dataclass(frozen=True, eq=False)

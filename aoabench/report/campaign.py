@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 80  # true positions; more of them are a track, not reference points
 MOST_DRAWN = 5000  # of a track's fixes, evenly spaced; and of a distribution's steps
+_BEYOND = 1.5  # times the largest 95 % quantile of errors, where the axis of a distribution ends
 STYLES = ("-", "--", "-.", ":")
 SCALE = "cividis"  # uniform in lightness, readable by colour-blind readers
 
@@ -67,33 +68,38 @@ def cdf(
     bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
 ) -> Figure:
     """Plot the share of fixes whose error (N,) is at most x; a method that gives fewer fixes ends
-    below 1.
+    below 1. The axis ends at _BEYOND times the largest 95 % quantile, if errors go on; the legend
+    counts those beyond.
 
     bands: for some of the methods, errors (K,) and the pointwise lower and upper limits (K,) of the
     share at these errors.
     """
     figure, axis = plots.new(plots.COLUMN * 1.35, plots.COLUMN)
-    reach = 0.0
-    for i, (name, e) in enumerate(errors.items()):
-        e = np.asarray(e, dtype=float)
-        given = e[np.isfinite(e)]
-        share = len(given) / max(len(e), 1)
+    finite = {name: np.asarray(e, dtype=float)[np.isfinite(e)] for name, e in errors.items()}
+    reach = max((_reach(given) for given in finite.values() if len(given)), default=0.0)
+    for i, (name, given) in enumerate(finite.items()):
+        e = np.asarray(errors[name], dtype=float)
+        share, beyond = len(given) / max(len(e), 1), int((given > reach).sum())
         middle = f"median {np.median(given):.3g} m, " if len(given) else ""
         line = axis.step(
             *distribution(e),
             where="post",
             linestyle=STYLES[i % len(STYLES)],
-            label=f"{name}: {middle}{share:.1%} of fixes",
+            label=f"{name}: {middle}{share:.1%} of {len(e):,} fixes"
+            + (f", {beyond:,} beyond the axis" if beyond else ""),
         )[0]
-        if len(given):
-            reach = max(reach, float(np.quantile(given, 0.98)))
         if bands and name in bands:
             at, low, high = bands[name]
             axis.fill_between(at, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
     axis.set(xlabel="error in the plane [m]", ylabel="share of all fixes", ylim=(0, 1.005))
-    axis.set_xlim(0, 1.05 * reach or 1.0)
+    axis.set_xlim(0, 1.02 * reach or 1.0)
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1 if len(errors) < 7 else 2)
     return figure
+
+
+def _reach(errors: np.ndarray) -> float:
+    """The error at which an axis ends."""
+    return min(float(errors.max()), _BEYOND * float(np.quantile(errors, 0.95)))
 
 
 def distribution(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

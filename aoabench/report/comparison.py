@@ -10,7 +10,7 @@ import numpy as np
 
 from aoabench.report.text import NON_CAUSAL
 from aoabench.store.compare import COLUMNS, IDENTITY
-from aoabench.store.comparison import FAILURES, LEVEL
+from aoabench.store.comparison import FAILURES, LEVEL, NONE_SEEN
 from aoabench.store.swept import differing
 
 if TYPE_CHECKING:
@@ -59,7 +59,6 @@ def _method(table: pd.DataFrame) -> Iterator[str]:
     printed = m == np.isfinite(table["p"]).sum()
     among = "comparisons" if printed else "pairs of estimators, as the data picked the baseline"
     yield f"95 % intervals for each comparison alone; p by Holm's method over the {m} {among}."
-    yield (
-        f"A difference is claimed where p < {LEVEL:g}; "
-        "a number that suffices to detect one detects it with probability 0.8."
-    )
+    unseen = (table["verdict"] == NONE_SEEN) & np.isfinite(table["needed"])
+    more = "; a number that suffices to detect one detects it with probability 0.8"
+    yield f"A difference is claimed where p < {LEVEL:g}{more if unseen.any() else ''}."

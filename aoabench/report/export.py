@@ -129,7 +129,7 @@ def _cell(text: str) -> str:
 
 def _comment(text: str) -> str:
     """The text as it may stand in a comment of HTML."""
-    return " ".join(printable(text).split()).replace("--", "- -")
+    return " ".join(printable(text).split()).replace("-->", "-- >")
 
 
 def dataset(table: Exported, command: str = "", replications: bool = False) -> xarray.Dataset:

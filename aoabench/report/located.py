@@ -44,6 +44,8 @@ def figure(frame: pd.DataFrame, around: Surroundings, title: str) -> Figure:
     the directions they face, walls, truth and rejected fixes. Fixes far outside anchors, walls and
     the other fixes are counted and not drawn.
     """
+    from matplotlib.ticker import MaxNLocator
+
     extent = _extent(frame, around)
     wide, high = np.diff(extent, axis=0)[0]
     width = plots.PAGE
@@ -60,8 +62,10 @@ def figure(frame: pd.DataFrame, around: Surroundings, title: str) -> Figure:
     axis.set(xlim=extent[:, 0], ylim=extent[:, 1])
     axis.grid(False)
     if drawn is not None:
-        label = "time [s]" if frame["time_s"].notna().all() else "fix"
-        made.colorbar(drawn, ax=axis, label=label, shrink=0.8)
+        timed = frame["time_s"].notna().all()
+        bar = made.colorbar(drawn, ax=axis, label="time [s]" if timed else "fix", shrink=0.8)
+        if not timed:
+            bar.locator = MaxNLocator(integer=True)
     _legend(made, axis, _outside(frame, extent))
     return made
 
@@ -124,7 +128,7 @@ def _tracks(axis: Any, frame: pd.DataFrame) -> Any:
         look |= {"edgecolors": colour[tag]} if many else {}
         drawn = axis.scatter(
             mine["x_m"], mine["y_m"], c=mine["at"], cmap=SCALE, norm=norm, zorder=4,
-            label=f"tag {tag}" if many else None, **look,
+            label=f"tag {tag}" if many else None if i else "fix", **look,
         )  # fmt: skip
     return drawn
 
@@ -138,9 +142,11 @@ def _colours(tags: Sequence[str]) -> dict[str, Any]:
 
 
 def _at(frame: pd.DataFrame) -> Any:
-    """The time of each fix in s since the first, or its number where a time is not known."""
+    """The time of each fix in s since the first, or its number from 1 on where a time is not
+    known.
+    """
     time = frame["time_s"]
-    return time - time.min() if time.notna().all() else np.arange(len(frame), dtype=float)
+    return time - time.min() if time.notna().all() else np.arange(1.0, len(frame) + 1)
 
 
 def _ellipses(axis: Any, frame: pd.DataFrame) -> None:

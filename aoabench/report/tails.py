@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aoabench.report.text import interval_text
+from aoabench.store.swept import cell_names
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _MOST_LINES = 10
+
+
+def lines(summary: pd.DataFrame) -> Iterator[str]:
+    """The heavy tails of a summary as lines for a terminal, with the names of cells."""
+    yield from heavy_tails_text(heavy_tails(summary), cell_names(summary))
 
 
 def heavy_tails(summary: pd.DataFrame) -> list[dict[str, Any]]:
@@ -32,16 +38,17 @@ def heavy_tails(summary: pd.DataFrame) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: -row["largest_share"])
 
 
-def heavy_tails_text(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """The objects of `heavy_tails` as lines for a terminal."""
+def heavy_tails_text(rows: Sequence[dict[str, Any]], names: Mapping[str, str]) -> Iterator[str]:
+    """The objects of `heavy_tails` as lines for a terminal; `names` of cells, where there are
+    several.
+    """
     if rows:
         yield (
             "heavy tails: a few large errors decide these RMSE, whose intervals may be too narrow; "
             "use the median:"
         )
-    several = len({row["cell"] for row in rows}) > 1
     for row in rows[:_MOST_LINES]:
-        cell = f"cell {row['cell']} " if several else ""
+        cell = f"{names[row['cell']]} " if names else ""
         median = interval_text(row["median"], row["median_low"], row["median_high"])
         what = "CEP50" if row["median_of"] == "cep50_m" else "median RMSE 3-D"
         yield (

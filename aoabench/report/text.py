@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from math import floor, log10
 
+import numpy as np
+
 
 def printed_text(value: float | None, rounding: float) -> str:
     """A printed number with the paper's digits, `rounding` being half a unit of the last one."""
@@ -13,6 +15,11 @@ def printed_text(value: float | None, rounding: float) -> str:
     return (
         f"{value:.{max(0, -floor(log10(2 * rounding) + 1e-9))}f}" if rounding > 0 else f"{value:g}"
     )
+
+
+def significant(value: float, digits: int) -> str:
+    """A finite number to some significant digits, without an exponent."""
+    return np.format_float_positional(value, digits, fractional=False, trim="-")
 
 
 NON_CAUSAL = "fixes use later measurements too, as live positioning cannot"
@@ -44,7 +51,8 @@ def interval_parts(value: float, low: float, high: float, digits: int = 2) -> tu
         return "", ""
     half = (high - low) / 2
     if half != half or half <= 1e-12 * abs(value):
-        return f"{value:.{digits + 2}g}", ""
+        whole = float(value).is_integer() and abs(value) < 1e6  # a count, say
+        return f"{value:.0f}" if whole else f"{value:.{digits + 2}g}", ""
     if half >= 1e6:
         four = digits + 2
         return f"{value:.{four}g}", f"[{low:.{four}g}, {high:.{four}g}]"

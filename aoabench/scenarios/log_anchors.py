@@ -9,6 +9,7 @@ import numpy as np
 
 from aoabench.devices.anchors import AnchorsFile, read_anchors
 from aoabench.devices.geodesy import Origin
+from aoabench.devices.readers.columns import found_column
 from aoabench.devices.readers.formats import opened
 from aoabench.devices.readers.reading import Content
 from aoabench.devices.readers.table import Table
@@ -91,6 +92,7 @@ def _moving(place: LogParameters, named: dict[str, Any], present: list[str]) -> 
     """Whether there is no file of anchors; BadValue if the log has no positions either."""
     if place.anchors is not None:
         return False
-    if not any(named[one] or DEFAULTS[one] in present for one in (*METRES, *DEGREES)):
+    places = (*METRES, *DEGREES)
+    if not any(named[one] or found_column([DEFAULTS[one]], present) for one in places):
         raise BadValue("anchors", None, NEEDED)
     return True

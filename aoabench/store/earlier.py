@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aoabench.columns import REPLICATIONS
-from aoabench.errors import RunError, UserError
+from aoabench.errors import RunError
 from aoabench.store.files import read_table, schema
-from aoabench.store.folder import read_record, record_files
+from aoabench.store.folder import no_results, read_record, record_files
 from aoabench.store.index import table_of_records
 from aoabench.store.manifest import INDEX, torn
 
@@ -25,7 +25,7 @@ def shown(out: Path, names: Iterable[str]) -> dict[str, pd.DataFrame]:
     if not (out / "cells.parquet").exists() or not (out / "replications.parquet").is_dir():
         if record_files(out):
             raise torn(out / "cells.parquet", out, "or replications.parquet is missing")
-        raise UserError(f"{out}: no results here; allowed: the runner.out folder of a finished run")
+        raise no_results(out)
     made = {"tidy": _tidy, INDEX: _index}
     return {n: made[n](out) if n in made else _frame(out / f"{n}.parquet", out) for n in names}
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from aoabench.cell import Cell
 from aoabench.columns import IDENTITY, KINDS
-from aoabench.errors import RunError
+from aoabench.errors import RunError, UserError, near_file
 from aoabench.store.documents import FORMAT, read_document, write_document
 from aoabench.store.files import provenance, read_table, schema
 from aoabench.store.parts import Part, intact_parts
@@ -22,6 +22,22 @@ from aoabench.store.parts import Part, intact_parts
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
+
+_MOST_NAMED = 8  # runs in a message
+
+
+def no_results(out: Path) -> UserError:
+    """The error for a folder without a run, with a run of a similar name or the runs in it."""
+    hint = near_file(str(out))
+    try:
+        inside = sorted(one.name for one in out.iterdir() if (one / "cells").is_dir())
+    except OSError:
+        inside = []
+    if inside:
+        rest = ", ..." if len(inside) > _MOST_NAMED else ""
+        hint = f"; it holds the runs {', '.join(inside[:_MOST_NAMED])}{rest};"
+    allowed = "allowed: the runner.out folder of a finished run"
+    return UserError(f"{out}: no results here{hint or ';'} {allowed}")
 
 
 def record_cell(
@@ -32,9 +48,9 @@ def record_cell(
     timing: Mapping[str, Any],
     reps: Mapping[str, int],
     precision: Mapping[str, Any],
-) -> None:
+) -> int:
     """Record that the tables of `out` show this cell with the first `reps` replications of these
-    estimators.
+    estimators; return how many they showed before of those of which they now show fewer, at most.
 
     `precision` maps each estimator to the precision that it reached under cell.runner.until.
 
@@ -46,6 +62,7 @@ def record_cell(
     if before.get("draws") != draws:
         before = {"experiment": before.get("experiment")}
     entries = dict(before.get("estimators", {}))
+    former = [entry["reps"] for n, entry in entries.items() if entry["key"] == keys.get(n)]
     for name, key in keys.items():
         known = {"timing": timing.get(key), "precision": precision.get(name)}
         known |= {} if cell.estimators[name].causal else {"causal": False}
@@ -70,6 +87,7 @@ def record_cell(
     }
     if entries and not (stored and _same(record, stored)):
         write_record(out, {**record, "provenance": provenance()})
+    return max((shown for shown in former if shown > max(reps.values())), default=0)
 
 
 def _same(record: Mapping[str, Any], stored: Mapping[str, Any]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +65,27 @@ def differing(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
         if not key.startswith(("scenario.", "noise."))
         or (groups[key].nunique(dropna=False) > 1).any()
     ]
+
+
+def cell_names(frame: pd.DataFrame) -> dict[str, str]:
+    """By its id, what tells each cell of a frame from the others: scenario, noise and parameters
+    that differ, or "cell ID" where they do not. Empty if there is one cell.
+    """
+    cells = frame.drop_duplicates("cell")
+    if len(cells) < 2:
+        return {}
+    presets = [key for key in ("scenario", "noise") if key in cells]
+    varied = differing(cells, [*presets, *(c for c in cells.columns if "." in c)])
+    found = {
+        row["cell"]: " ".join(
+            f"{row[key]}" if key in presets else f"{key}={row[key]}"
+            for key in varied
+            if row[key] is not None and row[key] == row[key]
+        )
+        for row in cells.to_dict("records")
+    }
+    alike = Counter(found.values())
+    return {c: text if text and alike[text] == 1 else f"cell {c}" for c, text in found.items()}
 
 
 def _decoded(texts: pa.ChunkedArray) -> list[Any]:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aoabench.columns import FAILURES, IDENTITY, PRECISION, SCHEMA, SUMMARY, TIMING
-from aoabench.errors import RunError, UserError
+from aoabench.errors import RunError
 from aoabench.store import earlier, manifest, tidy
 from aoabench.store import index as index_module
 from aoabench.store.files import (
@@ -32,7 +32,7 @@ from aoabench.store.files import (
     write_atomically,
     write_frame,
 )
-from aoabench.store.folder import read_record, replay_command, write_record
+from aoabench.store.folder import no_results, read_record, replay_command, write_record
 from aoabench.store.index import Index
 from aoabench.store.rows import COLUMNS, CellRows
 from aoabench.store.swept import cell_table, natural, one_kind, swept_parameters
@@ -62,7 +62,7 @@ def collect(out: Path, only: Iterable[str] | None = None) -> None:
     index = index_module.read(out, anew=anew)
     cells = index.column("cell")
     if not cells:
-        raise UserError(f"{out}: no results here; allowed: the runner.out folder of a run")
+        raise no_results(out)
     index, changed = index.with_states(out, cells if only is None else only)
     if not anew:
         changed |= _without_rows(out, index)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from aoabench.report.text import significant
 from aoabench.studies import statements, stored
 from aoabench.studies.choice import Pair
 from aoabench.studies.study import Item, Study
@@ -49,6 +50,7 @@ def needs(pairs: Sequence[Pair], results: Path) -> Needs:
     studies = list({s.name: s for s, _ in pairs}.values())
     rows = statements.verdicts(studies, results).of(asked).readings
     rows = rows[(rows["verdict"] == UNDECIDED) & ~rows["robustness"]]
+    most = rows.groupby(["study", "id"])["needed"].max()  # over the readings
     left: dict[str, str] = {}
     found: dict[tuple[str, str], list[tuple[str, float]]] = {}
     for row in rows.to_dict("records"):
@@ -63,7 +65,8 @@ def needs(pairs: Sequence[Pair], results: Path) -> Needs:
         elif not math.isfinite(row["needed"]):
             left[claim] = row["reason"]
         elif row["needed"] > statements.BEYOND * item.paper_reps:
-            left[claim] = f"needs N = {row['needed']:.2g}, beyond ten times the study's"
+            reps = significant(most[row["study"], row["id"]], 2)
+            left[claim] = f"needs N = {reps}, beyond ten times the study's"
         else:
             found.setdefault((s.name, item.name), []).append((claim, row["needed"]))
     items = [_need(*asked[key], wanted, results) for key, wanted in found.items()]

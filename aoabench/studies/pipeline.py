@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from aoabench.kernels.loading import waited_s
 from aoabench.store.files import provenance, write_frame
 from aoabench.studies import computing, progress, stored, study
 from aoabench.studies.background import Background
@@ -43,7 +44,7 @@ class Pipeline:
     _waiting: deque[tuple[Study, Item, Future[tuple[dict[str, Any], str]]]] = field(
         default_factory=deque
     )
-    _told_s: float = field(default_factory=time.perf_counter)
+    _begin_s: float = field(default_factory=lambda: time.perf_counter() - waited_s())
 
     def compute(self, pairs: Sequence[Pair]) -> None:
         """Compute all items. Raises what the first of them raises."""
@@ -58,6 +59,7 @@ class Pipeline:
                 begin = time.perf_counter()
                 ran = computing.run(s, item, self.scale, self.runs, title)
                 took_s = time.perf_counter() - begin
+                self.pace.ran(self._elapsed_s())
                 rest = partial(self._finish, s, item, ran, took_s)
                 self._waiting.append((s, item, background.submit(rest)))
                 self._tell(wait=item.times)
@@ -77,15 +79,17 @@ class Pipeline:
             embedded(figure)  # kept for the page
         return row, problem
 
+    def _elapsed_s(self) -> float:
+        """Seconds since the command began, without those in which kernels were compiled."""
+        return time.perf_counter() - waited_s() - self._begin_s
+
     def _tell(self, wait: bool) -> None:
         """Enter and echo the items that are done; with `wait`, all of them."""
         while self._waiting and (wait or self._waiting[0][2].done()):
             s, item, future = self._waiting.popleft()
             with progress.shown(f"{s.name} {item.name} ({self.pace.text()})"):
                 row, problem = future.result()
-            now = time.perf_counter()
-            self.pace.done(now - self._told_s)
-            self._told_s = now
+            self.pace.done(self._elapsed_s())
             self.computed.append(row)
             rows = f"{s.name} {item.name}: {row['rows']} rows, {row['seconds']:.1f} s"
             self.echo(f"{rows} ({self.scale}); {self.pace.text()}")

@@ -16,7 +16,7 @@ from aoabench.store.files import write_atomically
 from aoabench.studies.choice import Pair
 
 _UNKNOWN_S = 10.0  # expected of an item that was never timed
-_ENOUGH_S = 10.0  # expected seconds of finished items that tell the speed of this machine
+_TRUSTED = 0.25  # share of all expected seconds for which these count as true, see Pace.left_s
 
 
 def expected(scale: str) -> Mapping[str, float]:
@@ -43,29 +43,49 @@ def _pace_file() -> Path:
 
 
 class Pace:
-    """The items of a command in the order in which they are computed."""
+    """The items of a command in the order in which they are computed. An item's experiment runs
+    while the items before it are reduced and drawn, so an item with an experiment counts as
+    computed once that `ran`, and one without once it is `done`.
+    """
 
     def __init__(self, pairs: Sequence[Pair], seconds: Mapping[str, float]) -> None:
         self.expected = [seconds[f"{s.name}/{item.name}"] for s, item in pairs]
-        self.spent: list[float] = []
+        self._runs = [item.experiment is not None for _, item in pairs]
+        self._ran = self._done = 0
+        self._elapsed_s = 0.0
 
-    def done(self, seconds: float) -> None:
-        """Note the seconds that the next item took."""
-        self.spent.append(seconds)
+    def ran(self, elapsed_s: float) -> None:
+        """Note that the experiment of the next item has run, if it has one; `elapsed_s` are the
+        seconds since the command began, without those in which kernels were compiled.
+        """
+        self._ran += 1
+        self._elapsed_s = elapsed_s
+
+    def done(self, elapsed_s: float) -> None:
+        """Note that the next item is reduced and drawn; `elapsed_s` as for `ran`."""
+        self._done += 1
+        self._elapsed_s = elapsed_s
 
     @property
     def left_s(self) -> float:
-        """Expected seconds of the items that are not done, corrected by what the others took."""
-        count = len(self.spent)
-        expected = sum(self.expected[:count])
-        speed = sum(self.spent) / expected if expected >= _ENOUGH_S else 1.0
-        return speed * sum(self.expected[count:])
+        """Expected seconds of what is not computed, times the seconds elapsed over those expected
+        of what is. _TRUSTED of all expected seconds enter both, so that the first items, which
+        load libraries and wait for kernels, cannot change it much.
+        """
+        last = max(self._ran, self._done)
+        waiting = zip(self.expected[self._done : last], self._runs[self._done : last])
+        computed = sum(self.expected[: self._done]) + sum(e for e, runs in waiting if runs)
+        trusted = _TRUSTED * sum(self.expected)
+        if not computed + trusted:
+            return 0.0
+        speed = (self._elapsed_s + trusted) / (computed + trusted)
+        return speed * (sum(self.expected) - computed)
 
     def text(self) -> str:
         """Items done, and the time left, for example '3 of 42 done, about 4 min left'."""
-        count, total = len(self.spent), len(self.expected)
-        left = f", about {duration(self.left_s)} left" if count < total else ""
-        return f"{count} of {total} done{left}"
+        total = len(self.expected)
+        left = f", about {duration(self.left_s)} left" if self._done < total else ""
+        return f"{self._done} of {total} done{left}"
 
 
 def duration(seconds: float) -> str:

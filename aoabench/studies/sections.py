@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from aoabench.maths.digest import flatten
-from aoabench.report.text import number_text
+from aoabench.report.text import interval_text
 from aoabench.studies import findings
 from aoabench.studies.places import Places
 from aoabench.studies.stored import Stored, read
@@ -153,12 +153,13 @@ def _short(value: Any) -> str:
 
 
 def _effect(effect: dict[str, str] | None, found: Mapping[str, Any]) -> str:
-    """The effect of an erratum, as words and our number; "" if the erratum has none or its number
-    was not computed.
+    """The effect of an erratum, as words and our number with its 95 % interval; "" if the erratum
+    has none or its number was not computed.
     """
     if effect is None or effect["id"] not in found:
         return ""
-    texts = [number_text(found[i][0].value, found[i][0].se) for i in _ids(effect) if i in found]
+    numbers = [found[i][0] for i in _ids(effect) if i in found]
+    texts = [interval_text(number.value, *number.interval()) for number in numbers]
     return f"{effect['says']}: {' instead of '.join(texts)} {effect['unit']}".strip()
 
 

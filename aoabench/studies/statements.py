@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from aoabench.maths.estimate import Estimate
 from aoabench.maths.intervals import normal_quantile
+from aoabench.report.text import significant
 from aoabench.studies import stored, verdict
 from aoabench.studies.claims import CLASSES, Claim, Reading
 from aoabench.studies.study import Item, Study
@@ -104,14 +103,8 @@ def _read(claim: Claim, reading: Reading, ours: Numbers) -> dict[str, Any]:
     """The row of one reading of a claim."""
     row: dict[str, Any] = dict.fromkeys(READ, math.nan)
     row |= {"reading": reading.name, "robustness": reading.robustness, "unit": claim.unit}
-    row |= {
-        "table": claim.item,
-        "number": "",
-        "numbers": 0,
-        "verdict": NOT_JUDGED,
-        "flips": "",
-        "reason": "",
-    }
+    row |= {"table": claim.item, "numbers": 0, "verdict": NOT_JUDGED}
+    row |= dict.fromkeys(("number", "flips", "reason"), "")
     ids = reading.ids(ours.item_of)
     if not ids:
         return row | {"reason": ours.contents[claim.item].problem or NOT_COMPUTED}
@@ -137,7 +130,8 @@ def _read(claim: Claim, reading: Reading, ours: Numbers) -> dict[str, Any]:
     return row | {
         "verdict": found.word,
         "reason": "; ".join(reasons),
-        "flips": _flips(claim, found),
+        "flips": _flips(claim, found.word, found.flips),
+        "ends": found.flips,
         "shows": found.shows,
         "needed": found.more * count,
     }  # fmt: skip
@@ -160,8 +154,9 @@ def _row(claim: Claim, item: Item, found: Sequence[Mapping[str, Any]]) -> dict[s
         "where": claim.where,
         "quote": claim.quote,
         "printed": claim.printed_text or limits_text(claim),
-        **{key: shown[key] for key in ("ours", "se", "low", "high", "unit", "flips", "shows")},
+        **{key: shown[key] for key in ("ours", "se", "low", "high", "unit", "shows")},
         "verdict": word,
+        "flips": _flips_together(claim, word, own),
         "reason": "; ".join(filter(None, [explained, *reasons])),
         "readings": _counted(own) if len(own) > 1 else "",
         "robustness": _counted([row for row in found if row["robustness"]]),
@@ -196,27 +191,38 @@ def _undecided(ours: Estimate, found: verdict.Judgement, count: float, item: Ite
         return "on the limit" if found.more == math.inf else "unknown interval"
     if found.more <= 1:
         return "across the limit"
-    needed = np.format_float_positional(found.more * count, 2, fractional=False, trim="-")
+    times, needed = (significant(number, 2) for number in (found.more, found.more * count))
     known = count == count and item.counts == "replications"
     count_text = f", N = {needed}" if known else ""
     study_count = count if math.isnan(item.paper_reps) else item.paper_reps
     beyond = found.more * count > BEYOND * study_count
     apart = ": beyond ten times the study's" if beyond else ""
-    return f"{found.more:.2g} times the {item.counts} would decide{count_text}{apart}"
+    return f"{times} times the {item.counts} would decide{count_text}{apart}"
 
 
-def _flips(claim: Claim, found: verdict.Judgement) -> str:
-    """For which limits a statement would hold; "" if the paper sets them."""
+def _flips(claim: Claim, word: str, ends: tuple[float, float], where: str = "") -> str:
+    """For which limits a statement with this verdict holds, given `ends` as in Judgement.flips and
+    the readings in words; "" if the paper sets the limits.
+    """
     if claim.kind != "statement" or claim.chosen == "paper":
         return ""
-    low, high = (f"{end:.3g} {claim.unit}".rstrip() for end in found.flips)
+    low, high = (f"{significant(end, 3)} {claim.unit}".rstrip() for end in ends)
     limits = claim.limits(0.0)
-    would = "holds" if found.word == HOLDS else "would hold"
+    holds = ("holds" if word == HOLDS else "would hold") + where
     if math.isinf(limits.high):
-        return f"{would} for any limit below {low}"
+        return f"{holds} for any limit below {low}"
     if math.isinf(limits.low):
-        return f"{would} for any limit above {high}"
-    return f"{would} for any limits around {low} to {high}"
+        return f"{holds} for any limit above {high}"
+    return f"{holds} for any limits around {low} to {high}"
+
+
+def _flips_together(claim: Claim, word: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """For which limits a statement holds in every judged reading, whose rows are given."""
+    ends = [row["ends"] for row in rows if row["verdict"] != NOT_JUDGED]
+    if not ends:
+        return ""
+    hull = min(low for low, _ in ends), max(high for _, high in ends)
+    return _flips(claim, word, hull, " in every reading" if len(ends) > 1 else "")
 
 
 def limits_text(claim: Claim) -> str:

@@ -45,6 +45,17 @@ def uninformed(trial: Trial) -> str:
     return f"{words} {problem}" if problem else ""
 
 
+def unused(trial: Trial) -> str:
+    """Whether estimates depend on what `uses` leaves out."""
+    uses = trial.estimator.uses
+    if uses is None:
+        raise NotTried("it does not state what it uses")
+    for name in sorted(worlds.QUANTITIES - uses):
+        if problem := trial.apart(trial.found, trial.run(worlds.other(trial.batch, name))):
+            return f"uses leaves out {name!r}, and another one {problem}"
+    return ""
+
+
 def replications(trial: Trial) -> str:
     """Whether a replication depends on the others, or gets another one's anchors."""
     truth, batch = trial.uneven

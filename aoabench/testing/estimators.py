@@ -47,6 +47,9 @@ def members(trial: Trial) -> str:
             return f"{name} is {value!r}, which is not True or False"
     if not isinstance(e.needs, frozenset):
         return f"needs is {e.needs!r}, which is not a frozenset of names"
+    if e.uses is not None and not (isinstance(e.uses, frozenset) and e.uses <= worlds.QUANTITIES):
+        names = ", ".join(sorted(worlds.QUANTITIES))
+        return f"uses is {e.uses!r}, which is not None or a frozenset of names among {names}"
     if not isinstance(e.label, str):
         return f"label is {e.label!r}, which is not a text"
     return files(e.files)
@@ -179,6 +182,7 @@ RULES = (
         "only an estimator that needs the truth may know it (`needs`)",
         dependence.uninformed,
     ),
+    Rule("unused", "estimates depend on no measurements that `uses` leaves out", dependence.unused),
     Rule(
         "replications",
         "a replication depends on nothing but itself, its anchors, rotations and streams",

@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from aoabench.maths.geometry import Array, wrap
+from aoabench.roles import NEEDS
 from aoabench.types import Anchors, Batch
 
 MEASURED = tuple(
@@ -17,6 +18,8 @@ MEASURED = tuple(
     for f in fields(Batch)
     if f.name not in ("anchors", "known", "prior_mean", "prior_cov", "time", "anchor_id")
 )
+
+QUANTITIES = frozenset(need for need, (group, _) in NEEDS.items() if group == "noise")
 
 
 def measured(batch: Batch) -> dict[str, Array]:
@@ -30,6 +33,18 @@ def without(batch: Batch, absent: np.ndarray | bool, *names: str) -> Batch:
     """
     some = {n: a for n, a in measured(batch).items() if n in names or not names}
     return replace(batch, **{n: np.where(absent, np.nan, a) for n, a in some.items()})  # type: ignore[arg-type]
+
+
+def other(batch: Batch, quantity: str) -> Batch:
+    """The batch with other measurements, or without, of one of the QUANTITIES."""
+    if quantity == "elevation":
+        return without(batch, True, "elevation", "elevation_sigma")
+    names = ("azimuth_sigma", "elevation_sigma") if quantity == "stated_sigma" else (quantity,)
+    drawn = np.random.default_rng(7).uniform(0.05, 0.2, batch.azimuth.shape)
+    changed = dict.fromkeys(names, drawn)
+    if quantity == "delay":
+        changed = {"delay": 1e-7 * drawn, "delay_sigma": 1e-8 * drawn}
+    return replace(batch, **changed)  # type: ignore[arg-type]
 
 
 def steps(batch: Batch, some: slice) -> Batch:

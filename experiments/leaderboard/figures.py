@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from aoabench.maths.estimate import stored
 from aoabench.report.plots import BOUND, BOUND_LABEL, PAGE, error_bars, new
-from aoabench.report.text import number_text
+from aoabench.report.text import interval_text, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,6 +18,7 @@ KINDS = {
     "snapshot": ("#E69F00", "snapshot: each fix alone"),
     "limit": ("#BBBBBB", "limit: sees the truth"),
 }
+HEAVY = "heavy tail: compare medians"
 MOST = 8.0  # no axis ends beyond so many times the best RMSE
 
 
@@ -36,7 +38,9 @@ def board(frame: pd.DataFrame) -> Figure:
     axes[0, 0].set_yticks(range(len(names)), names)
     kinds = [kind for kind in KINDS if kind in set(frame["kind"])]
     bounded = bool(frame["bound_m"].notna().any())
-    figure.legend(handles=_legend(kinds, bounded), loc="outside upper center", ncols=3)
+    figure.legend(
+        handles=_legend(kinds, bounded, any(_heavy(frame))), loc="outside upper center", ncols=3
+    )
     return figure
 
 
@@ -46,7 +50,9 @@ def _panel(axis: Any, rows: pd.DataFrame) -> None:
     colours = [KINDS[kind][0] for kind in rows["kind"]]
     y = range(len(rows))
     seen = rows["rmse_m"].where(rows["rmse_m"] <= end)
-    axis.barh(y, rows["rmse_m"].clip(upper=end), height=0.7, color=colours)
+    drawn = axis.barh(y, rows["rmse_m"].clip(upper=end), height=0.7, color=colours)
+    for bar, heavy in zip(drawn, _heavy(rows)):
+        bar.set(hatch="////" if heavy else "", edgecolor="white", linewidth=0)
     bars = error_bars(rows, "rmse_m", "rmse_se")
     axis.errorbar(seen, y, xerr=bars, fmt="none", ecolor="black", elinewidth=0.8)
     for column, marker in (("error_q50_m", "|"), ("error_q95_m", "d")):
@@ -54,7 +60,7 @@ def _panel(axis: Any, rows: pd.DataFrame) -> None:
     for i, r in zip(y, rows.to_dict("records")):
         if r["rmse_m"] > end:
             at = {"xytext": (-3, 0), "textcoords": "offset points", "color": "black"}
-            text = f"{r['rmse_m']:.3g} m \u2192"
+            text = f"{significant(r['rmse_m'], 3)} m \u2192"
             axis.annotate(text, (end, i), ha="right", va="center", fontsize=6.5, **at)
         share = f"{100 * r['share_ok']:.3g} %"
         axis.annotate(
@@ -67,6 +73,11 @@ def _panel(axis: Any, rows: pd.DataFrame) -> None:
     axis.grid(visible=False, axis="y")
 
 
+def _heavy(frame: pd.DataFrame) -> list[bool]:
+    """Whether few errors decide the RMSE, by row."""
+    return list(frame["heavy_tail"]) if "heavy_tail" in frame else [False] * len(frame)
+
+
 def _end(rows: pd.DataFrame) -> float:
     """End of a panel's axis in m: beyond all RMSEs and quantiles up to MOST times the best RMSE."""
     most = MOST * rows[rows["kind"] != "limit"]["rmse_m"].min()
@@ -74,7 +85,7 @@ def _end(rows: pd.DataFrame) -> float:
     return 1.05 * float(values[values <= most].max().max())
 
 
-def _legend(kinds: list[str], bounded: bool) -> list[Any]:
+def _legend(kinds: list[str], bounded: bool, heavy: bool) -> list[Any]:
     """Handles for the kinds of estimators and for the marks."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -83,18 +94,19 @@ def _legend(kinds: list[str], bounded: bool) -> list[Any]:
     marks = [("|", "50 % of the errors"), ("d", "95 % of the errors")]
     points = [Line2D([], [], color="black", ls="", marker=m, label=text) for m, text in marks]
     lines = [Line2D([], [], label=BOUND_LABEL, **BOUND)] if bounded else []
-    return [*bars, *points, *lines]
+    hatched = Patch(facecolor="#888888", edgecolor="white", hatch="////", label=HEAVY)
+    return [*bars, *points, *lines, *[hatched] * heavy]
 
 
 def board_table(frame: pd.DataFrame) -> pd.DataFrame:
-    """The ranking as texts."""
+    """The ranking as texts; tables of before 2026-11-28 do not say which tails are heavy."""
     each = frame.to_dict("records")
     return pd.DataFrame(
         {
             "setting": frame["setting"],
             "rank": ["limit" if r["kind"] == "limit" else str(r["rank"]) for r in each],
             "estimator": frame["estimator"],
-            "RMSE ± s.e. [m]": [number_text(r["rmse_m"], r["rmse_se"]) for r in each],
+            "RMSE [m], 95 % interval": [_rmse(r) for r in each],
             "50 %, 95 % of the errors [m]": [
                 f"{r['error_q50_m']:.3g}, {r['error_q95_m']:.3g}" for r in each
             ],
@@ -102,6 +114,12 @@ def board_table(frame: pd.DataFrame) -> pd.DataFrame:
             "fixes ok": [f"{100 * share:.4g} %" for share in frame["share_ok"]],
         }
     )
+
+
+def _rmse(row: dict[str, Any]) -> str:
+    low, high = stored(row, "rmse_m", "rmse_se").interval()
+    heavy = ", heavy tail" if row.get("heavy_tail") else ""
+    return interval_text(row["rmse_m"], low, high) + heavy
 
 
 def _interval(row: dict[str, Any]) -> str:

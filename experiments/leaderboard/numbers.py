@@ -15,6 +15,7 @@ from aoabench.cell import Cell
 from aoabench.engine.draws import Draws
 from aoabench.maths import statistics
 from aoabench.maths.estimate import Estimate
+from aoabench.maths.tails import largest_share, usual_share
 from aoabench.noise.angular import NormalAngles
 from aoabench.roles import Estimator
 from aoabench.store.fixes import Fixes
@@ -59,23 +60,24 @@ def _board(
     runs: Runs, title: Callable[[Cell], str], over: Callable[..., Any], metric: str = "3-D"
 ) -> pd.DataFrame:
     """The rows of all cells. `over` gives, from the errors (R, T) m by estimator, the unit of the
-    statistics and their number, each RMSE, and the function that compares two estimators.
+    statistics, the mean square of each unit by estimator, each RMSE, and the function that compares
+    two estimators.
     """
     rows = []
     for cell, found in runs:
         errors = {name: _errors(fixes, metric) for name, fixes in found.items()}
-        unit, n, rmse, compare = over(errors)
+        unit, squares, rmse, compare = over(errors)
         kinds = {name: kind_of(cell.estimators[name]) for name in found}
         order = sorted(rmse, key=lambda name: rmse[name].value)
         best = next(name for name in order if kinds[name] != "limit")
-        head = {"setting": title(cell), "metric": metric, "over": unit, "n": n}
+        head = {"setting": title(cell), "metric": metric, "over": unit, "n": len(squares[best])}
         head |= {"best": best, "bound_m": bound_m(cell)}
         rank = 0
         for name in order:
             rank += kinds[name] != "limit"
             row = {**head, "rank": 0 if kinds[name] == "limit" else rank, "estimator": name}
             row |= {"kind": kinds[name], **rmse[name].columns("rmse_m", "rmse_se")}
-            row |= _excess(compare(name, best)) | _spread(errors[name])
+            row |= _excess(compare(name, best)) | _spread(errors[name]) | _tail(squares[name])
             rows.append(row | {"share_ok": float((found[name].outcome == Outcome.OK).mean())})
     return pd.DataFrame(rows)
 
@@ -120,9 +122,8 @@ def _over_replications(errors: Mapping[str, np.ndarray]) -> tuple[Any, ...]:
         pair = statistics.paired(each[name], each[best])
         return pair.percent, pair.percent.interval()
 
-    n = len(next(iter(each.values())))
     rmse = {name: statistics.mean(values) for name, values in each.items()}
-    return "replications", n, rmse, compare
+    return "replications", {name: values**2 for name, values in each.items()}, rmse, compare
 
 
 def _over_positions(errors: Mapping[str, np.ndarray]) -> tuple[Any, ...]:
@@ -133,14 +134,21 @@ def _over_positions(errors: Mapping[str, np.ndarray]) -> tuple[Any, ...]:
         above = (statistics.ratio(square[name], square[best]).root() - 1).percent()
         return above, above.interval()
 
-    n = len(next(iter(square.values())))
     rmse = {name: statistics.pooled_rmse(np.sqrt(values)) for name, values in square.items()}
-    return "positions", n, rmse, compare
+    return "positions", square, rmse, compare
 
 
 def _excess(excess: Excess) -> dict[str, float]:
     above, (low, high) = excess
     return {**above.columns("above_percent", "above_se"), "above_low": low, "above_high": high}
+
+
+def _tail(squares: np.ndarray) -> dict[str, Any]:
+    """The share of the sum of squares that the largest unit holds, and whether it is too large for
+    the interval of a RMSE, as in summary.parquet.
+    """
+    share, n = largest_share(squares), int(np.isfinite(squares).sum())
+    return {"largest_share": share, "heavy_tail": share > usual_share(n)}
 
 
 def _spread(error: np.ndarray) -> dict[str, float]:

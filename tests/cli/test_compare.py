@@ -4,6 +4,7 @@ import json
 import math
 
 import aoabench
+from aoabench.report.comparison import lines
 
 
 def test_json_holds_the_rows_of_the_table(call, small_run):
@@ -32,3 +33,12 @@ def test_quiet_prints_the_table_alone(call, small_run, monkeypatch):
     monkeypatch.setattr("aoabench.store.files.write_frame", refuse)
     assert "cannot be written" in call("compare", small_run)[2]
     assert call("compare", small_run, "-q") == (0, text, "")
+
+
+def test_the_foot_explains_what_is_printed_alone(call, small_run):
+    words = "detects it with probability 0.8"
+    table = aoabench.compare(small_run)
+    for verdict, printed in (("worse", False), ("no difference seen", True)):
+        changed = table.assign(verdict=verdict, needed=300.0)
+        changed.attrs = table.attrs
+        assert (words in "\n".join(lines(changed))) == printed

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from io import StringIO
 
 import numpy as np
@@ -104,6 +105,8 @@ def test_by_makes_a_group_of_columns_for_each_value(small_run, summary, call):
         places = len(rows[1][column].partition(".")[2])
         assert float(rows[1][column]) == round(of[noise, "ekf_vmf"], places)
     text = call(*words, "--markdown")[1]
+    command = text.partition("aoabench export ")[2].partition(" -->\n")[0]
+    assert shlex.split(command)[1:] == ["--markdown", f"--metric={NAME}", "--by=noise"]
     table = [line for line in text.splitlines() if line.startswith("|")]
     assert len({line.replace(r"\|", "").count("|") for line in table}) == 1
     assert "mean RMSE 3-D [m], noise = vmf" in table[0].replace("\\", "")
@@ -203,5 +206,7 @@ def test_xarray_without_the_library_says_what_to_install(small_run, monkeypatch,
 def test_from_python(small_run, call):
     assert aoabench.export(small_run, "csv") == call("export", small_run, "--csv")[1]
     assert aoabench.export(small_run, "json")["rows"][0][NAME] > 0
+    one = aoabench.export(small_run, "csv", metrics="rmse_pooled_3d_m")
+    assert one == aoabench.export(small_run, "csv", metrics=["rmse_pooled_3d_m"])
     with pytest.raises(aoabench.UserError, match="form='pdf'"):
         aoabench.export(small_run, "pdf")

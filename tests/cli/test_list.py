@@ -149,3 +149,9 @@ def test_lines_wrap_in_a_terminal_alone(monkeypatch):
     assert len(lines) > 3
     assert max(map(len, lines)) <= 60
     assert all(one.startswith(" " * 9 + "word") for one in lines[1:])
+
+
+def test_the_example_of_a_cluster_names_its_scheduler(call):
+    for name in ("dask", "slurm"):
+        assert f"runner={name} runner.address=tcp://HOST:PORT" in call("list", name)[1]
+    assert "runner.address" not in call("list", "local")[1].partition("example:")[2].split("\n")[0]

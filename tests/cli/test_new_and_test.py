@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from aoabench.config.compose import compose_cells
 from aoabench.studies import study
 from aoabench.testing import skeletons
 from aoabench.testing.plugins import module_of, plugins_of
@@ -37,7 +38,11 @@ def test_a_skeleton_runs_and_obeys_every_rule(here, call, kind):
     assert code == 0, err
     code, out, err = call("test", name)
     assert code == 0, out
-    assert f"{kind}={name}" in out
+    (head,) = (line for line in out.splitlines() if line.startswith(f"{kind}={name}"))
+    skipped = out.count("\n  skipped")
+    count = out.count("\n  passed")
+    rest = f", {skipped} skipped" if skipped else ""
+    assert head.endswith(f"): {count} of {count} rules hold{rest}")
     assert out.endswith(f"1 plug-in in {name}: every rule holds\n")
     compile(Path(f"test_{name}.py").read_text(), "test", "exec")
     sys.path.insert(0, str(here))
@@ -189,3 +194,44 @@ def test_presets_give_the_parameters(here):
     )
     found = plugins_of(module_of("lab_x"), "conf")
     assert [(one.name, one.lacks) for one in found] == [("filter=needs", ""), ("Off", "")]
+
+
+def test_each_cell_of_a_sweep_has_the_defaults_of_a_plug_ins_class(here, call):
+    """The first one too, composed before anything else has imported the plug-in."""
+    assert call("new", "noise", "fresh_sweep")[0] == 0
+    words = ["noise=fresh_sweep", "filter=[ekf_vmf]", "plugins=[fresh_sweep]"]
+    cells = compose_cells([*words, "seed=1,2"], config_dir="conf")
+    assert [cell.config["noise"]["scale_deg"] for cell in cells] == [4.0, 4.0]
+
+
+def test_list_and_cfg_know_the_plug_ins_named(here, call):
+    assert call("new", "noise", "fresh_listed")[0] == 0
+    code, out, err = call("list", "fresh_listed", "--config-dir", "conf")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    named = "plugins=[fresh_listed]"
+    assert f"named on the command line: '{named}'" in err
+    code, out, err = call(
+        "run", "noise=fresh_listed", named, "--config-dir", "conf", "--cfg", "job", "-p", "noise"
+    )
+    assert "scale_deg: 4.0" in out, err
+    code, out, err = call("list", "fresh_listed", named, "--config-dir", "conf")
+    assert code == 0, err
+    assert "scale b of the errors" in out
+    (example,) = (line for line in out.splitlines() if line.startswith("  example: "))
+    assert example.endswith(f"noise=fresh_listed estimator=all reps=20 --config-dir conf '{named}'")
+    assert "noise.scale_deg" in call("list", "noise.scale_deg", named, "--config-dir", "conf")[1]
+    code, _, err = call("list", "fresh_listed", "reps=3")
+    assert (code, "one NAME and plugins=[...]" in err) == (2, True)
+
+
+def test_a_preset_of_ones_own_that_is_not_read_is_told(here, call):
+    assert call("new", "estimator", "fresh_unread")[0] == 0
+    hint = "; conf/estimator/fresh_unread.yaml is read with --config-dir conf\n"
+    assert call("run", "estimator=[fresh_unread,ls]")[2].endswith(f"unknown preset{hint}")
+    assert call("list", "fresh_unread")[2].endswith(f"no such group or preset{hint}")
+
+
+def test_a_misspelt_name_of_many_is_one_short_line(call):
+    err = call("run", "filter=[ekf_vmff]")[2]
+    assert err.endswith("; did you mean 'ekf_vmf'? allowed: those of `aoabench list filter`\n")
+    assert "allowed: all, anchor_mean, " in call("run", "estimator=[xyz]")[2]

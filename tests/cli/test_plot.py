@@ -62,6 +62,26 @@ def test_a_mistake_is_one_line(call, small_run, words, message):
     assert len(err.splitlines()) == 1
 
 
+def test_a_folder_beside_or_above_a_run_is_told_from_one(call, small_run):
+    wrong = small_run.with_name("a sweeep")
+    allowed = "allowed: the runner.out folder of a finished run\n"
+    for command in ("plot", "compare", "export", "collect", "replay"):
+        words = {"export": ["--csv"], "replay": ["--replication", 0, "--estimator", "ekf_vmf"]}.get(
+            command, []
+        )
+        status, _, err = call(command, wrong, *words)
+        assert (status, err) == (
+            2,
+            f"aoabench: {wrong}: no results here; did you mean '{small_run}'? {allowed}",
+        )
+        status, _, err = call(command, small_run.parent, *words)
+        assert (
+            err
+            == f"aoabench: {small_run.parent}: no results here; it holds the runs a sweep; {allowed}"
+        )
+    assert status == 2
+
+
 def test_a_folder_without_results_is_one_line(call, tmp_path):
     for path in (tmp_path, tmp_path / "none"):
         status, _, err = call("plot", path)

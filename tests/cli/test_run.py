@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import aoabench
 from aoabench.cli.outcomes import not_ok, not_ok_text
 from aoabench.report.text import interval_text
 from aoabench.types import SENTENCES, Reason
@@ -203,7 +204,7 @@ def test_lines_of_fixes_that_are_not_ok():
         for i in range(25)
     ])  # fmt: skip
     rows.loc[24, "reason"] = None  # a table of schema 1
-    lines = list(not_ok_text(not_ok(rows)))
+    lines = list(not_ok_text(not_ok(rows), {f"c{i}": f"cell c{i}" for i in range(25)}))
     assert len(lines) == 22
     assert (
         lines[1]
@@ -212,7 +213,7 @@ def test_lines_of_fixes_that_are_not_ok():
     behind = "the position lies behind an anchor that it uses (13.8 %)"
     assert lines[2] == f"  cell c23 ls: 9.2 % rejected, 13.8 % failed: {behind}"
     assert lines[-1] == "  and 4 more, see reason in summary.parquet"
-    assert list(not_ok_text(not_ok(rows[:1]))) == []
+    assert list(not_ok_text(not_ok(rows[:1]), {})) == []
 
 
 def test_json_of_a_recording(call, recording, tmp_path):
@@ -288,3 +289,12 @@ def test_redirected_output_is_plain_text(tmp_path, monkeypatch, capfd):
     out, err = capfd.readouterr()
     assert err == ""
     assert not {"\x1b", "\r"} & set(out)
+
+
+def test_fewer_replications_than_stored_are_remarked_once(call, tmp_path):
+    words = ["run", "noise=vmf", "filter=[ekf_vmf]", "runner.n_jobs=1", f"runner.out={tmp_path}"]
+    remark = "aoabench: the tables now show fewer replications than are stored; reps=4 shows all\n"
+    assert [remark in call(*words, f"reps={n}")[2] for n in (4, 3, 3, 4)] == [0, 1, 0, 0]
+    assert len(aoabench.load(tmp_path)) == 4
+    assert remark not in call(*words, "reps=3", "noise.sigma_deg=5")[2], "another cell"
+    assert remark in call(*words, "reps=2", "filter=[ekf_vmf,ukf_vmf]")[2]

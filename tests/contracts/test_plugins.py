@@ -11,8 +11,9 @@ import pytest
 
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
-from aoabench.testing import check_estimator, check_noise, check_scenario
+from aoabench.testing import check_estimator, check_noise, check_scenario, worlds
 from aoabench.testing.noises import usual_scenario
+from aoabench.testing.trial import Trial
 from tests.golden.cells import with_every_noise
 
 ESTIMATORS = [(group, name) for group in ("filter", "estimator") for name in options(group)]
@@ -55,6 +56,19 @@ def tried(group, name):
 @pytest.mark.parametrize(("group", "name"), ESTIMATORS)
 def test_estimators(group, name):
     check_estimator(*tried(group, name), skip=CANNOT.get(name))
+
+
+@pytest.mark.parametrize(("group", "name"), ESTIMATORS)
+def test_estimators_state_what_they_use(group, name):
+    """All that they need, and nothing that changes no estimate."""
+    trial = Trial(*tried(group, name))
+    uses = trial.estimator.uses
+    assert uses is not None
+    assert trial.estimator.needs & worlds.QUANTITIES <= uses
+    if "delay" not in trial.noise.offers():
+        uses -= {"delay"}
+    for quantity in uses:
+        assert trial.apart(trial.found, trial.run(worlds.other(trial.batch, quantity))), quantity
 
 
 @pytest.mark.parametrize("name", [n for n in options("noise") if n != "recorded"])

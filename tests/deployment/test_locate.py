@@ -11,6 +11,7 @@ import pytest
 import aoabench
 from aoabench.deployment import files, fixes, located, plans, summary
 from aoabench.deployment.request import Request
+from aoabench.deployment.solving import Residuals
 from aoabench.devices.geodesy import Origin
 from aoabench.errors import UserError
 from aoabench.roles import PlainEstimator
@@ -249,6 +250,62 @@ def test_large_residuals_are_said(room, log, turned, named):
         assert "scenario.azimuth_sense" in large[-1]
 
 
+def student(point, fix):
+    """The cost of a point with the default loss of robust_ml, of all rows of a fix."""
+    total = 0.0
+    for row in fix.itertuples():
+        azimuth, elevation = angles(point, row.anchor)
+        da = (row.azimuth_deg - azimuth + 180) % 360 - 180
+        squares = (da / 6) ** 2, ((row.elevation_deg - elevation) / 12) ** 2
+        total += sum(2 * np.log(1 + square / 3) for square in squares)
+    return total
+
+
+def test_a_wrong_facing_is_left_out_by_the_loss_truncated_alone(room, log):
+    """The least cost of the default loss is elsewhere than at the tag: no fault of the search."""
+    path = log(rows_of(POINTS, turned={"A2": 90.0}))
+    rows = pd.read_csv(path)
+    exact = located_in(path, room, "estimator.robust_ml.loss=truncated").frame
+    np.testing.assert_allclose(exact[["x_m", "y_m", "z_m"]], POINTS, rtol=0, atol=1e-3)
+    assert set(exact["anchors_used"]) == {3}
+    found = located_in(path, room).frame
+    for (_, fix), point, true in zip(
+        rows.groupby("fix"), found[["x_m", "y_m", "z_m"]].to_numpy(), POINTS
+    ):
+        assert student(point, fix) < student(true, fix) - 0.01
+
+
+def test_an_azimuth_at_a_pole_is_no_residual(room, log):
+    """Under A1, the azimuth that it states is any; its others are right."""
+    points = [(0, 3, 1.1), (0, 3, 1.1), (5, 3, 1.1), (7, 2, 1.1)]
+    rows = [row.replace("A1,0.000000000,-90", "A1,120,-90") for row in rows_of(points)]
+    assert sum("A1,120,-90" in row for row in rows) == 2
+    found = located_in(log(rows), room, estimator="ls_lines").residuals
+    at_pole = (found.anchor == 0) & (found.fix < 2)
+    np.testing.assert_array_equal(np.isnan(found.azimuth), at_pole)
+    lines = list(summary.residual_lines(found, list(ANCHORS), "counterclockwise"))
+    assert len(lines) == 1
+
+
+def test_one_odd_anchor_among_few_may_mean_another_convention():
+    """Where one anchor's azimuths are those of a mirrored frame, the fixes follow the others."""
+    azimuth = np.radians(np.tile([178.0, 40.0, -50.0], 10))
+    rest = np.repeat(np.arange(10), 3), np.tile([0, 1, 2], 10)
+    found = Residuals(*rest, azimuth, np.full(30, np.nan))
+    lines = list(summary.residual_lines(found, ["A", "B", "C"], "clockwise"))
+    assert "anchor A: its azimuths differ by 178 deg" in lines[1]
+    assert "now clockwise, else counterclockwise" in lines[-1]
+    few = Residuals(*rest, azimuth * np.tile([1, 0.1, 0.1], 10), np.full(30, np.nan))
+    assert len(list(summary.residual_lines(few, ["A", "B", "C"], "clockwise"))) == 2
+
+
+def test_the_first_rows_count_anchors_in_whole_numbers(room, log):
+    frame = located_in(log(rows_of(POINTS)), room).frame
+    assert list(summary.head(frame, 2))[1].split()[-2:] == ["4", "ok"]
+    frame.loc[0, "anchors_used"] = None
+    assert len(list(summary.head(frame, 2))) == 4
+
+
 def test_mistakes_are_one_line(room, log):
     path = log(rows_of(POINTS))
     for words, match in [
@@ -263,6 +320,8 @@ def test_mistakes_are_one_line(room, log):
     for out in ("fixes.xls", "log.csv"):
         with pytest.raises(UserError, match="-o="):
             files.check_out(room / out, [str(path)])
+    (room / "loop.csv").symlink_to("loop.csv")
+    files.check_out(room / "fixes.csv", [str(room / "loop.csv")])  # told where it is read
 
 
 def test_a_csv_with_any_names_reads_back(room, log):

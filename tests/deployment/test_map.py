@@ -50,15 +50,19 @@ def test_fixes_ellipses_anchors_and_walls_are_where_they_are(drawn):
         assert ellipse.center == (row["x_m"], row["y_m"])
         assert ellipse.width == pytest.approx(2 * 2.4477 * row["sigma_major_m"], rel=1e-4)
         assert ellipse.angle == row["ellipse_deg"]
-    (points,) = [p for p in of(axis, PathCollection) if p.get_label().startswith("_")]
+    (points,) = of(axis, PathCollection, "fix")
     assert np.allclose(points.get_offsets(), frame[["x_m", "y_m"]], atol=1e-12)
-    assert points.get_array().tolist() == [0, 1, 2, 3]
+    assert points.get_array().tolist() == [1, 2, 3, 4]
+    bar = axis.figure.axes[1]
+    axis.figure.draw_without_rendering()
+    assert bar.get_ylabel() == "fix"
+    assert [float(t.get_text()) for t in bar.get_yticklabels()] == [1, 2, 3, 4]
     assert {t.get_text() for t in axis.texts} == set(ANCHORS)
 
 
 def test_the_colour_is_time_if_it_is_known(drawn):
     axis, _ = drawn(lambda frame: frame.assign(time_s=[100.0, 100.5, 102.0, 110.0]))
-    (points,) = [p for p in of(axis, PathCollection) if p.get_label().startswith("_")]
+    (points,) = of(axis, PathCollection, "fix")
     assert points.get_array().tolist() == [0, 0.5, 2, 10]
     assert axis.figure.axes[1].get_ylabel() == "time [s]"
 

@@ -21,6 +21,13 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.parametrize(("scale", "said"), [(1.0, False), (1000.0, True)])
+def test_anchors_far_apart_are_doubted(scale, said, here):
+    Path("a.csv").write_text(f"x_m,y_m\n0,0\n{12 * scale},{6 * scale}\n")
+    line = "a.csv: x_m and y_m span 12000 and are read in m; are they in mm or cm?"
+    assert read_anchors("anchors", "a.csv").notes == ((line,) if said else ())
+
+
 def by_map(path):
     return IndoorMap("own", path, [[0, 0], [3, 0]], ConstantAcceleration(1.0), None)
 
@@ -45,6 +52,7 @@ GOOD = {
         "roll_deg,facing_deg,floor,y_m,x_m,id,pitch_deg,z_m\n20,110,EG,2,1,1,-35,3\n180,0,OG,6,5,b,0,2.8\n",
         [3, 2.8], [[110, -35, 20], [0, 0, 180]]),
     "semicolons and decimal commas": ("x_m;y_m;z_m\n1,0;2;3\n5;6;2,5\n", [3, 2.5], [[0, 0, 0]] * 2),
+    "other case and marks": ("X (m),Y (m),Z [m],Facing (\u00b0)\n1,2,3,90\n5,6,3,-45.5\n", [3, 3], [[90, 0, 0], [-45.5, 0, 0]]),
     "compass": ("x_m,y_m,bearing_deg\n1,2,0\n5,6,135\n", [0, 0], [[90, 0, 0], [-45, 0, 0]]),
     "pitch without facing": ("id,x_m,y_m,pitch_deg\n1,1,2,30\nb,5,6,0\n", [0, 0], [[0, 30, 0], [0, 0, 0]]),
 }  # fmt: skip

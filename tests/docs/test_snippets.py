@@ -4,7 +4,9 @@ A block under the comment `<!-- not run: WHY -->` is only parsed: its commands a
 the overrides of `aoabench run` compose.
 """
 
+import re
 import sys
+from collections import defaultdict
 from types import ModuleType
 
 import pytest
@@ -64,3 +66,25 @@ def run(command, call, folder, where):
         pytest.fail(f"{where}: `{command}` needs the comment `not run`")
     else:
         snippets.shell(command, folder)
+
+
+def test_pages_share_a_folder_only_for_the_same_run():
+    """A reader who follows several pages has the tables and pictures that each of them describes."""
+    runs = defaultdict(set)
+    for page in WITH_BLOCKS:
+        mine = defaultdict(set)
+        for block in snippets.blocks(page):
+            for command in block.commands if block.kind in snippets.SHELL else ():
+                words = [
+                    w for w in command.partition(" #")[0].split() if not w.startswith("--worst")
+                ]
+                for word in words:
+                    if word.startswith("runner.out=results/"):
+                        mine[word[11:]].add(" ".join(words).removeprefix(".venv/bin/"))
+            for call in re.findall(r"aoabench\.run\((.*?)\)\n", block.text, re.S):
+                for out in re.findall(r'out="(results/\S*)"', call):
+                    mine[out].add("".join(call.split()))
+        for out, commands in mine.items():
+            runs[out].add(frozenset(commands))
+    assert len(runs) > 10
+    assert {out: found for out, found in runs.items() if len(found) > 1} == {}

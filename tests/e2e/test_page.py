@@ -73,7 +73,9 @@ def told(html, script, width=None):
     return json.loads(unescape(found[1])) if found else None, console
 
 
-ROWS = "const shown = [...document.querySelectorAll('#front tbody tr')].filter((r) => !r.hidden);"
+ROWS = (
+    "const shown = [...document.querySelectorAll('#front > tbody > tr')].filter((r) => !r.hidden);"
+)
 
 
 def test_it_loads_without_a_complaint_and_asks_no_network(html):
@@ -95,7 +97,7 @@ def test_it_loads_without_a_complaint_and_asks_no_network(html):
 def test_a_click_on_a_head_sorts_by_number_and_back(html):
     script = """
       const button = document.querySelectorAll('#front th button')[4], column = () =>
-        [...document.querySelectorAll('#front tbody tr')].map((r) => r.cells[4].dataset.sort);
+        [...document.querySelectorAll('#front > tbody > tr')].map((r) => r.cells[4].dataset.sort);
       const before = button.parentElement.getAttribute('aria-sort');
       button.click(); const up = column(), state = button.parentElement.getAttribute('aria-sort');
       button.click(); const down = column(), last = button.parentElement.getAttribute('aria-sort');
@@ -111,7 +113,7 @@ def test_a_click_on_a_head_sorts_by_number_and_back(html):
 
 SET = """
       const set = (id, value) => { const e = document.getElementById(id); e.value = value; e.dispatchEvent(new Event('input')); };
-      const now = () => [...document.querySelectorAll('#front tbody tr')].filter((r) => !r.hidden)
+      const now = () => [...document.querySelectorAll('#front > tbody > tr')].filter((r) => !r.hidden)
         .map((r) => [r.dataset.study, r.dataset.verdict, r.textContent, r.dataset.class, r.dataset.counts]);
 """
 
@@ -143,7 +145,7 @@ def test_a_link_to_a_claim_shows_it_with_its_details(html):
         const row = document.getElementById(a.hash.slice(1)); return row && row.hidden; }});
       const row = document.getElementById(link.hash.slice(1));
       location.hash = link.hash; dispatchEvent(new Event('hashchange'));
-      const every = [...document.querySelectorAll('#front tbody tr')], dead = [...document.querySelectorAll('a')].filter((a) =>
+      const every = [...document.querySelectorAll('#front > tbody > tr')], dead = [...document.querySelectorAll('a')].filter((a) =>
         a.hash && !document.getElementById(a.hash.slice(1))).map((a) => a.hash);
       return [row.hidden, row.querySelector('details').open, dead, every.every((r) => r.querySelector('details code'))];
     """
@@ -180,8 +182,30 @@ def test_it_fits_a_narrow_window(html):
     assert float(size.removesuffix("px")) >= 12
 
 
+@pytest.mark.parametrize("width", [400, 1200])
+def test_plots_of_readings_fit_and_can_be_read(html, width):
+    script = """
+      document.querySelectorAll('#front details').forEach((one) => { one.open = true; });
+      const plots = [...document.querySelectorAll('svg.dots')].filter((e) => e.getBoundingClientRect().width > 0);
+      const sizes = plots.map((e) => 12 * e.getBoundingClientRect().width / e.viewBox.baseVal.width);
+      const out = plots.flatMap((e) => [...e.querySelectorAll('text')].filter((t) => {
+        const [a, b] = [t.getBoundingClientRect(), e.getBoundingClientRect()];
+        return a.left < b.left - 6 || a.right > b.right + 6 || a.bottom > b.bottom + 1; }).map((t) => t.textContent));
+      return [plots.length, Math.min(...sizes), Math.max(...sizes), out, document.documentElement.scrollWidth,
+              plots.every((e) => e.getAttribute('role') === 'img' && e.getAttribute('aria-label'))];
+    """
+    (count, least, most, out, scroll, named), console = told(html, script, width=width)
+    assert console == []
+    assert count > 30
+    assert least >= 10, "pixels of the letters"
+    assert most <= 16
+    assert out == []
+    assert scroll <= width
+    assert named
+
+
 def test_a_missing_table_is_not_computed_and_its_numbers_are_gone(html):
-    script = "return [...document.querySelectorAll('#front tbody tr')].filter((r) => r.cells[1].textContent === 'table1' && " \
+    script = "return [...document.querySelectorAll('#front > tbody > tr')].filter((r) => r.cells[1].textContent === 'table1' && " \
              "r.dataset.study === 'nurminen2018').map((r) => [r.dataset.verdict, r.cells[4].textContent.trim()]);"  # fmt: skip
     rows, _ = told(html, script)
     assert rows

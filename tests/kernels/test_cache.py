@@ -104,6 +104,16 @@ def test_a_change_of_a_shared_piece_is_compiled_and_nothing_else_is(tmp_path):
     assert {p: s for p, s in state(home).items() if first in p.parents} == before
 
 
+def test_a_second_clone_takes_what_the_first_one_compiled(tmp_path):
+    """Another folder, and files that are newer."""
+    home, clones = tmp_path / "home", [tmp_path / "first", tmp_path / "second"]
+    for clone in clones:
+        os.utime(package(clone) / "tiny.py", (1e9, 1e9) if clone is clones[0] else None)
+    compiled, value, _ = loaded(started(clones[0], home))
+    assert compiled > 0
+    assert loaded(started(clones[1], home)) == (0, value, "")
+
+
 def test_the_digest_knows_the_module_its_imports_and_the_outcomes(tmp_path, monkeypatch):
     """`kalman` imports `square_root`, which imports `limits`; it does not import `discrepancy`."""
     kernels = package(tmp_path)

@@ -50,7 +50,9 @@ def test_compiling_is_said_once(said_by, noted):
 
 
 def test_what_only_takes_long_is_not_said(said_by):
+    before = loading.waited_s()
     assert said_by(Fake(act=lambda: time.sleep(1.6))) == []  # a slow disk
+    assert loading.waited_s() - before >= 1.6, "counted once"
 
 
 def test_without_numba_a_line_says_so(monkeypatch):

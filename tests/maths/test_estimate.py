@@ -54,6 +54,27 @@ def test_intervals_scale_and_shift(e, a, b, confidence):
     assert (a * e + b).interval(confidence) == pytest.approx(tuple(ends), abs=1e-9)
 
 
+@given(
+    st.builds(
+        Estimate, st.floats(-5, 5), st.floats(0.01, 3), st.floats(-30, 30), st.just(math.inf)
+    ),
+    st.sampled_from([0.8, 0.95, 0.997, 0.999]),
+)
+def test_an_interval_contains_its_number_however_skew_this_is(e, confidence):
+    low, high = e.interval(confidence)
+    assert low <= e.value <= high
+
+
+@given(
+    st.floats(-5, 5), st.floats(0.01, 3), st.floats(-30, 30), st.sampled_from([0.8, 0.95, 0.997])
+)
+def test_tests_and_intervals_agree_however_skew_the_number_is(value, se, skew, confidence):
+    e = Estimate(value, se, skew)
+    low, high = e.interval(confidence)
+    if min(abs(low), abs(high)) > 1e-9:
+        assert (e.p_value() < 1 - confidence) == (low > 0 or high < 0)
+
+
 @given(estimates)
 def test_intervals_are_nested(e):
     ends = [e.interval(c) for c in (0.5, 0.8, 0.95, 0.99, 0.999)]

@@ -272,6 +272,21 @@ def test_mistakes_are_one_line(change, words):
         assert word in text
 
 
+def test_a_wide_table_with_the_poses_of_each_anchor_equals_the_long_one():
+    long = two_anchors()
+    long["anchor_x_m"] += 0.1 * long["time_s"]
+    wide = long.pivot(index="time_s", columns="anchor")
+    wide.columns = [f"{name}_{anchor}" for name, anchor in wide.columns]
+    wide.loc[3, ["azimuth_deg_a1", "elevation_deg_a1"]] = np.nan  # its pose is no measurement
+    unheard = (long["time_s"] == 3) & (long["anchor"] == "a1")
+    one, other = read(long[~unheard]), read(wide.reset_index(), name="wide.csv")
+    assert one.tracks.poses is not None
+    assert other.notes[0].removeprefix("wide") == one.notes[0].removeprefix("log")
+    np.testing.assert_array_equal(other.recorded.azimuth, one.recorded.azimuth)
+    np.testing.assert_array_equal(other.true_anchors.position, one.true_anchors.position)
+    np.testing.assert_array_equal(other.true_anchors.rotation, one.true_anchors.rotation)
+
+
 def test_other_names_of_columns():
     frame = drive(6).rename(columns={"anchor_x_m": "east", "anchor_y_m": "north"})
     names = Columns(anchor_x="east", anchor_y="north")

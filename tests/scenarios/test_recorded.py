@@ -101,6 +101,30 @@ def test_names_of_columns_and_formats_do_not_matter(here):
             np.testing.assert_array_equal(getattr(s.recorded, name), getattr(read().recorded, name))
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        "FIX,ANCHOR,AZIMUTH_DEG,ELEVATION_DEG,RSSI_DBM,X_M,Y_M,Z_M",
+        "Fix,Anchor,Azimuth (deg),Elevation [\u00b0],RSSI/dBm,x (m),y (m),z (m)",
+    ],
+)
+def test_default_names_in_other_case_and_with_other_marks(names, here):
+    own, rows = Path("log.csv").read_text().split("\n", 1)
+    assert own.count(",") == names.count(",")
+    found = read(f"{names}\n{rows}", path="other.csv")
+    for name in ("azimuth", "elevation", "rssi"):
+        np.testing.assert_array_equal(getattr(found.recorded, name), getattr(read().recorded, name))
+    np.testing.assert_array_equal(found.truth(None), read().truth(None))
+
+
+def test_names_that_differ_in_case_alone_are_not_chosen_among(here):
+    log = "Fix,fix,Azimuth_deg,AZIMUTH_DEG,anchor\n1,7,5,6,a1\n"
+    with pytest.raises(UserError, match=r"columns\.azimuth=None .*did you mean"):
+        read(log)
+    found = read(log.replace("AZIMUTH_DEG", "other"))
+    assert list(found.tracks.fix) == ["7"]
+
+
 def test_ids_are_texts(here):
     Path("anchors.csv").write_text("id,x_m,y_m\n007,0,0\n1E5,1,0\n7,2,0\n")
     s = read("fix,anchor,azimuth_deg\n1,007,1\n1, 1E5 ,2\n1,7,3\n")
@@ -333,6 +357,7 @@ HEAD = "fix,anchor,azimuth_deg,elevation_deg,x_m,y_m\n"
 MISTAKES = {
     "missing column": (LOG.replace("azimuth_deg", "azimut_deg"), {}, ["scenario.columns.azimuth=None", "azimuth_deg", "azimut_deg", "elevation_deg", "did you mean 'azimut_deg'"]),
     "mapped column missing": (LOG, {"columns": {"rssi": "rsi"}}, ["scenario.columns.rssi='rsi'", "log.csv", "rssi_dbm", "x_m"]),
+    "missing columns": (LOG.replace("_deg", "").replace("anchor", "ap"), {}, ["'scenario.columns={azimuth:NAME,anchor:NAME}' reads columns of other names"]),
     "unit of another column": (LOG, {"azimuth_unit": "rad"}, ["scenario.columns.azimuth", "azimuth_rad", "did you mean 'azimuth_deg'"]),
     "column twice": (LOG.replace("rssi_dbm", "anchor"), {}, ["scenario.columns.anchor='anchor'", "2 times"]),
     "neither fix nor time": (LOG.replace("fix,", "nr,"), {}, ["scenario.columns.time=None", "time_s", "or scenario.columns.fix", "nr, anchor"]),
@@ -373,6 +398,13 @@ def test_mistakes_have_one_line_with_key_value_and_allowed(here, log, changes, w
         read(log, **changes)
     for word in words:
         assert word in str(error.value), (word, str(error.value))
+
+
+def test_a_misspelt_file_is_told_from_its_neighbour(here):
+    for key, name, near in (("path", "log.cvs", "log.csv"), ("anchors", "no/anchors.csv", "")):
+        with pytest.raises(UserError, match=f"scenario.{key}='{name}'") as error:
+            read(**{"path": "log.csv", "anchors": "anchors.csv", key: name})
+        assert str(error.value).endswith(f"; did you mean '{near}'?") == bool(near)
 
 
 @pytest.mark.parametrize(("content", "words"), [
@@ -734,10 +766,20 @@ def test_figures_of_a_campaign(rng, tmp_path):
         assert plots.save(make, tmp_path / f"{name}.png").stat().st_size > 5000
     figure = campaign.cdf(errors)
     labels = [t.get_text() for t in figure.axes[0].get_legend().get_texts()]
-    assert labels[0].endswith("100.0% of fixes")
-    assert labels[-1] == "none: 0.0% of fixes"
+    assert labels[0].endswith("100.0% of 300 fixes")
+    assert labels[-1] == "none: 0.0% of 300 fixes"
     top = [line.get_ydata()[-1] for line in figure.axes[0].lines]
     np.testing.assert_allclose(top, [np.isfinite(e).mean() for e in errors.values()])
+
+
+def test_the_axis_of_errors_holds_them_all_or_counts_those_beyond():
+    figure = campaign.cdf({"few": np.linspace(0.1, 1, 10)})
+    (axis,) = figure.axes
+    assert 1.0 < axis.get_xlim()[1] < 1.1
+    assert "beyond" not in axis.get_legend().get_texts()[0].get_text()
+    (axis,) = campaign.cdf({"far": np.r_[np.full(100, 1.0), 50, 60]}).axes
+    assert axis.get_xlim()[1] == pytest.approx(1.02 * 1.5)
+    assert axis.get_legend().get_texts()[0].get_text().endswith("fixes, 2 beyond the axis")
 
 
 def test_a_recording_is_pickled_for_workers(here):

@@ -13,6 +13,7 @@ from aoabench.store import fixes as fixes_module
 from aoabench.store import manifest, recorded, tables
 from aoabench.store.files import write_frame
 from aoabench.store.fixes import clusters
+from aoabench.store.swept import cell_names
 from aoabench.types import Estimates, Outcome
 from tests.store import made
 
@@ -137,11 +138,24 @@ def test_heavy_tails_are_named_with_their_medians():
         "rmse_q50_3d_m": 5.0, "rmse_q50_3d_m_low": 4.0, "rmse_q50_3d_m_high": 7.0,
     })  # fmt: skip
     rows.loc[11, "heavy_tail"] = False
-    lines = list(heavy_tails_text(heavy_tails(rows.sample(frac=1, random_state=1))))
+    names = {f"c{i}": f"vmf noise.sigma_deg={i}" for i in range(12)}
+    lines = list(heavy_tails_text(heavy_tails(rows.sample(frac=1, random_state=1)), names))
     assert lines[0].endswith("use the median:")
-    first = "  cell c0 ls: the largest position holds 90 % of the sum of squares; "
+    first = "  vmf noise.sigma_deg=0 ls: the largest position holds 90 % of the sum of squares; "
     assert lines[1] == first + "CEP50 2.00 [1.80, 2.30] m"
     assert lines[2].endswith("the largest replication holds 84.5 % of the sum of squares; median "
                              "RMSE 3-D 5.0 [4.0, 7.0] m")  # fmt: skip
     assert lines[-1] == "  and 1 more, see heavy_tail in summary.parquet"
-    assert list(heavy_tails_text(heavy_tails(rows[11:]))) == []
+    assert list(heavy_tails_text(heavy_tails(rows[11:]), {})) == []
+
+
+def test_cells_are_named_by_what_differs():
+    rows = pd.DataFrame({
+        "cell": ["a", "a", "b", "c", "d"], "scenario": "square_track", "noise": 4 * ["vmf"] + ["ae_flip"],
+        "noise.sigma_deg": [2, 2, 5, 5, None], "scenario.steps": 4,
+    })  # fmt: skip
+    assert cell_names(rows[:2]) == {}
+    assert cell_names(rows[:3]) == {"a": "noise.sigma_deg=2.0", "b": "noise.sigma_deg=5.0"}
+    names = cell_names(rows)
+    assert (names["a"], names["d"]) == ("vmf noise.sigma_deg=2.0", "ae_flip")
+    assert (names["b"], names["c"]) == ("cell b", "cell c")

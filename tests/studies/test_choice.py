@@ -1,12 +1,18 @@
 """Which items a command computes, in which order, and what it says of the time left."""
 
+import itertools
 import re
+from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from aoabench.errors import UserError
-from aoabench.studies import places, progress, reproduce, study
+from aoabench.studies import pipeline, places, progress, reproduce, study
 from aoabench.studies.choice import cheapest_first, chosen
+from aoabench.studies.computing import Runs
 
 KNOWN = study.names()
 
@@ -84,13 +90,61 @@ def test_the_time_left_follows_the_speed_of_this_machine():
     pairs = chosen(["le2021"], "fig5,fig6,fig7", KNOWN)
     pace = progress.Pace(pairs, {"le2021/fig5": 10.0, "le2021/fig6": 30.0, "le2021/fig7": 60.0})
     assert pace.text() == "0 of 3 done, about 2 min left"
-    pace.done(30.0)
-    assert pace.left_s == 270.0
-    assert pace.text() == "1 of 3 done, about 4 min left"
-    pace.done(0.0)
-    assert pace.left_s == pytest.approx(60 * 30 / 40)
-    pace.done(1.0)
+    pace.ran(0.1)
+    assert pace.left_s == pytest.approx(100 * 25.1 / 25), "fig5 runs nothing, its function computes"
+    pace.ran(100.0)
+    assert pace.left_s == pytest.approx(70 * 125 / 55), "fig6 ran"
+    pace.done(120.0)
+    assert pace.left_s == pytest.approx(60 * 145 / 65), "each second counts once"
+    assert pace.text() == "1 of 3 done, about 2 min left"
+    pace.done(140.0)
+    assert pace.left_s == pytest.approx(60 * 165 / 65)
+    pace.ran(390.0)
+    pace.done(400.0)
     assert pace.text() == "3 of 3 done"
+    assert progress.Pace([], {}).left_s == 0
+
+
+def test_the_time_left_of_a_recorded_run_is_calm_and_about_right():
+    """All items at quick scale in a new home on a busy machine: kernels were compiled for 168 of
+    614 s, and the first items took twice as long as expected.
+    """
+    events = pd.read_csv(Path(__file__).with_name("recorded_pace.csv"))
+    items = events[events["event"] == "ran"]
+    pairs = [
+        (SimpleNamespace(name=study), SimpleNamespace(name=item, experiment="x" if runs else None))
+        for (study, item), runs in zip(items["item"].str.split("/"), items["experiment"])
+    ]
+    expected = dict(zip(items["item"], items["expected_s"]))
+    pace = progress.Pace(pairs, expected)
+    printed = [pace.left_s]
+    for event in events.itertuples():
+        (pace.ran if event.event == "ran" else pace.done)(event.elapsed_s)
+        printed.append(pace.left_s)
+    assert max(printed) < 1.15 * sum(expected.values()), (
+        "never far more than all is expected to take"
+    )
+    assert max(b / a for a, b in itertools.pairwise(printed)) < 1.15, "it does not jump up"
+    true = events["left_s"].to_numpy()
+    ratio = (np.array(printed[1:]) / true)[true > 60]
+    assert 0.6 < ratio.min() < ratio.max() < 3.0
+    last = (np.array(printed[1:]) / true)[(true > 60) & (true < 200)]
+    assert last.max() < 2, "better once half of it is done"
+
+
+def test_seconds_in_which_kernels_are_compiled_do_not_count(tmp_path, monkeypatch):
+    """They count neither before the command nor during it."""
+    waited = [40.0]
+    now = [100.0]
+    monkeypatch.setattr(pipeline, "waited_s", lambda: waited[0])
+    monkeypatch.setattr(pipeline.time, "perf_counter", lambda: now[0])
+    pairs = chosen(["le2021"], "fig5", KNOWN)
+    pace = progress.Pace(pairs, {"le2021/fig5": 10.0})
+    where = places.of_scale("quick", tmp_path)
+    line = pipeline.Pipeline("quick", where, ("png",), print, pace, Runs(tmp_path / "raw"))
+    now[0] += 25.0
+    waited[0] += 20.0
+    assert line._elapsed_s() == pytest.approx(5.0)
 
 
 def test_durations_are_short_texts():

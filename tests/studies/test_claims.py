@@ -108,6 +108,7 @@ def test_an_undecided_number_says_what_would_decide_it(tmp_path):
     assert row["reason"] == f"{times:.2g} times the replications would decide, N = 440"
     far = judged(tmp_path, [NUMBER], {"a": (1.049, 0.01)}).claims.iloc[0]
     assert far["reason"].endswith("beyond ten times the study's")
+    assert far["reason"].startswith(f"{round((2.968 * 0.01 / 0.001) ** 2, -1):.0f} times the")
     none = judged(tmp_path, [NUMBER], {"a": (1.0, float("nan"))}).claims.iloc[0]
     assert (none["verdict"], none["reason"]) == ("undecided", "too few cases for a standard error")
 
@@ -154,6 +155,22 @@ def test_limits_that_we_set_say_where_the_verdict_flips(tmp_path):
     assert both["flips"] == "holds for any limits around 3.7 % to 4.3 %"
     paper = judged(tmp_path, [entry | {"chosen": "paper"}], {"a": (4.0, 0.1)}).claims.iloc[0]
     assert paper["flips"] == ""
+
+
+def test_with_several_readings_it_flips_where_the_last_of_them_does(tmp_path):
+    """The limit of a claim that depends is not the one that its first reading would bear."""
+    entry = READINGS | {"above": 3, "chosen": "after", "unit": "%"}
+    numbers = {"one": (5.0, 0.1), "two": (1.0, 0.1), "three": (-9.0, 0.1)}
+    found = judged(tmp_path, [entry], numbers)
+    row, one, two = found.claims.iloc[0], *found.readings["flips"][:2]
+    assert row["verdict"] == "depends"
+    assert row["flips"] == "would hold in every reading for any limit below 0.703 %"
+    assert one == "holds for any limit below 4.7 %"
+    assert two == "would hold for any limit below 0.703 %"
+    entry = without(entry, "above") | {"below": 9, "above": 0}
+    row = judged(tmp_path, [entry], numbers).claims.iloc[0]
+    assert row["flips"] == "holds in every reading for any limits around 0.703 % to 5.3 %"
+    assert "ends" not in found.readings
 
 
 @pytest.mark.parametrize(("kind", "more", "reason"), [

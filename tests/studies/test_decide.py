@@ -13,14 +13,14 @@ from aoabench.studies.study import Item, Study
 PAPER = 8
 
 
-def made_up(folder, limits, **item):
+def made_up(folder, limits, readings=("mean",), **item):
     """A study with one item, the mean RMSE of least squares on the base station grid, and a claim
     on it for each pair of limits.
     """
     folder.mkdir(exist_ok=True)
     entries = [
         {"id": f"c{i}", "item": "grid", "class": "statement", "what": "w", "where": "p", "quote": "q",
-         "of": "mean", "above": float(limit), "chosen": "paper"}
+         "readings": [{"of": of, "error": of} for of in readings], "above": float(limit), "chosen": "paper"}
         for i, limit in enumerate(limits)
     ]  # fmt: skip
     (folder / "claims.yaml").write_text(yaml.safe_dump({"claims": entries}))
@@ -32,7 +32,9 @@ def made_up(folder, limits, **item):
     )
     (folder / "figures.py").write_text(
         "from aoabench.maths.statistics import Estimate\n"
-        "def grid_values(frame): return {'mean': Estimate(*frame[['value', 'se']].iloc[0])}\n"
+        "def grid_values(frame):\n"
+        "    value, se = frame[['value', 'se']].iloc[0]\n"
+        "    return {'mean': Estimate(value, se), 'thrice': Estimate(value, 3 * se)}\n"
     )
     scale = {"quick": ["reps=4"], "paper": [f"reps={PAPER}"]}
     items = (Item("grid", "t", "c", figure=False, experiment="le2021_zones", scale=scale, **item),)
@@ -78,7 +80,7 @@ def test_undecided_claims_get_the_replications_that_they_need(few, tmp_path):
     assert list(before["verdict"]) == ["holds", "undecided", "undecided"]
     need = decide.needs([(second, second.items[0])], places.results)
     assert list(need.left) == ["first c2"]
-    assert "beyond ten times" in need.left["first c2"]
+    assert need.left["first c2"] == "needs N = 80000, beyond ten times the study's"
     (item,) = need.items
     assert item.claims == ("first c1",)
     assert item.reps == pytest.approx(1.15 * PAPER / 0.6**2, abs=2)
@@ -116,6 +118,18 @@ def test_units_that_are_not_replications_are_not_added(few, tmp_path):
     assert not need.items
     (reason,) = need.left.values()
     assert "their number is the paper's" in reason
+
+
+def test_the_replications_beyond_reach_are_those_of_the_reading_that_needs_most(few, tmp_path):
+    s = made_up(tmp_path / "mine", [0.0])
+    places = few(s)
+    reproduce.reproduce([], "paper", None, places, lambda _: None)
+    row, _ = stored(s, places)
+    limit = row["value"] - 0.01 * 2.968 * row["se"]
+    s = made_up(tmp_path / "mine", [limit], readings=("thrice", "mean"))
+    few(s)
+    need = decide.needs([(s, s.items[0])], places.results)
+    assert need.left == {"mine c0": "needs N = 720000, beyond ten times the study's"}
 
 
 def test_an_unknown_item_is_one_line(tmp_path):

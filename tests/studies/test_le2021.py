@@ -4,6 +4,7 @@ of its claims.
 
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,10 +17,11 @@ from aoabench.config.compose import compose_cells
 from aoabench.maths.estimate import Estimate
 from aoabench.roles import Estimator
 from aoabench.store.fixes import Fixes
-from aoabench.studies import study
+from aoabench.studies import stored, study
 from aoabench.types import Estimates, Outcome
 
 LE = study.load("le2021")
+RESULTS = Path(__file__).parents[2] / "results"
 N = LE.numbers
 NAMES = ["ls", "ml_arctan", "ml_atan2", "ml_kcorr"]
 
@@ -189,6 +191,21 @@ def test_the_pole_runs_every_estimator_that_fits():
     found = catalogue.fitting_estimators(cell.scenario, cell.noise)
     fitting = {name for names in found.values() for name in names}
     assert set(cell.estimators) == fitting
+
+
+def test_beside_a_base_station_two_estimators_alone_stay_near_the_bound():
+    """What the first finding says of all estimators."""
+    item = next(i for i in LE.items if i.name == "pole")
+    values = stored.read(LE, item, RESULTS).values
+    near = {
+        sigma: {
+            key.split("/")[3]
+            for key, (estimate, _) in values.items()
+            if key.startswith(f"pole/{sigma}/0.1/") and key.endswith("/xy") and estimate.value < 3
+        }
+        for sigma in ("0.5", "4")
+    }
+    assert near == {"0.5": {"vmf_ml", "robust_ml"}, "4": {"vmf_ml", "robust_ml"}}
 
 
 @dataclass(frozen=True)

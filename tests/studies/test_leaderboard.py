@@ -10,9 +10,12 @@ from aoabench.config import catalogue
 from aoabench.config.compose import compose_cells
 from aoabench.engine import runner
 from aoabench.engine.draws import Draws
+from aoabench.maths.estimate import Estimate
+from aoabench.report.text import interval_text
 from aoabench.store import recorded, tables
 from aoabench.store.fixes import fixes, steps
 from aoabench.studies import study
+from aoabench.types import Outcome
 
 SMALL = {
     "ble_room": ["reps=3", "scenario.packets=2"],
@@ -81,9 +84,37 @@ def test_the_figure_draws_each_bar_or_cuts_and_labels_it(board):
     end = axis.get_xlim()[1]
     assert widths == pytest.approx(np.minimum(rows["rmse_m"], end))
     texts = [text.get_text() for text in axis.texts]
-    assert texts.count("1e+06 m \u2192") == 1
+    assert texts.count("1000000 m \u2192") == 1
     assert sum(text.endswith(" %") for text in texts) == len(rows)
     plt.close(figure)
+
+
+def test_rmse_that_few_errors_decide_is_marked_beside_its_interval(board):
+    name, _, found, _, frame = board
+    for estimator, fixes_of in found.items():
+        error = fixes_of.error_xy_m if name == "ble_room" else fixes_of.error_3d_m
+        given = ~np.isin(fixes_of.outcome, [Outcome.FAILED, Outcome.REJECTED])
+        squares = [np.mean(e[g].astype(float) ** 2) for e, g in zip(error, given) if g.any()]
+        share = max(squares) / sum(squares)
+        assert frame.loc[estimator, "largest_share"] == pytest.approx(share, rel=1e-6)
+        n = len(squares)
+        exceeds = n > 1 and n * (1 - share) ** (n - 1) < 0.05
+        assert frame.loc[estimator, "heavy_tail"] == exceeds
+    figures = study.load("leaderboard").figures
+    rows = frame.reset_index().assign(heavy_tail=False)
+    rows.loc[1, "heavy_tail"] = True
+    texts = figures.board_table(rows)["RMSE [m], 95 % interval"]
+    assert [t.endswith("heavy tail") for t in texts] == list(rows["heavy_tail"])
+    low, high = Estimate(*rows.loc[1, ["rmse_m", "rmse_se", "rmse_skew", "rmse_units"]]).interval()
+    assert texts[1] == f"{interval_text(rows.loc[1, 'rmse_m'], low, high)}, heavy tail"
+    figure = figures.board(rows)
+    hatched = [bool(patch.get_hatch()) for patch in figure.axes[0].patches][::-1]
+    assert hatched == list(rows["heavy_tail"])
+    assert figures.HEAVY in [t.get_text() for t in figure.legends[0].get_texts()]
+    plt.close(figure)
+    older = figures.board(rows.drop(columns=["heavy_tail", "largest_share"]))
+    assert figures.HEAVY not in [t.get_text() for t in older.legends[0].get_texts()]
+    plt.close(older)
 
 
 def test_the_first_replications_are_taken_alone(board):

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from aoabench.report.text import interval_text, number_text, printed_text
+from aoabench.report.text import interval_text, number_text, printed_text, significant
 from aoabench.store.files import read_provenance, write_frame
 from aoabench.studies import reproduce, statements, study
 from aoabench.studies.places import Places
@@ -169,6 +169,16 @@ def test_box_levels_are_the_papers():
 ])  # fmt: skip
 def test_numbers_show_the_digits_that_their_errors_support(value, se, text):
     assert number_text(value, se) == text
+
+
+def test_a_count_without_error_has_all_its_digits():
+    texts = {27648.0: "27648", -3.0: "-3", 0.0: "0", 2.25: "2.25", np.inf: "inf"}
+    assert {value: interval_text(value, value, value) for value in texts} == texts
+
+
+def test_significant_digits_without_an_exponent():
+    given = {1665.369: "1670", 0.0001236: "0.000124", 9.996: "10", -1203.0: "-1200", 0.0: "0"}
+    assert {value: significant(value, 3) for value in given} == given
 
 
 def test_printed_numbers_keep_their_digits():

@@ -14,6 +14,8 @@ from aoabench.maths.geometry import to_unit
 class Lines(Estimator):
     """The point nearest to all lines of sight, by least squares."""
 
+    uses = frozenset({"elevation"})
+
     @property
     def needs(self):
         return frozenset({"elevation"})
@@ -158,6 +160,10 @@ def flattened(self, found, batch, scenario, streams):
     return replace(found, position=found.position[..., :2])
 
 
+def weighted_by_strength(self, found, batch, scenario, streams):
+    return found if batch.rssi is None else moved(found, 0.01 * batch.rssi.mean())
+
+
 class Process(Lines):
     """Knows in which process it was made."""
 
@@ -168,6 +174,7 @@ class Process(Lines):
 FAULTY = [  # rule, plug-in, words
     ("members", changed(causal="yes"), "causal is 'yes', which is not True or False"),
     ("members", changed(files="walls.csv"), "files is 'walls.csv', which is not a tuple of paths"),
+    ("members", changed(uses=frozenset({"elevations"})), "among delay, elevation, rssi, stated_sigma"),
     ("values", changed(after=flattened), r"position must have the shape \(3, 16, 3\), not \(3, 16, 2\)"),
     ("covariances", changed(after=covariance(np.triu(np.ones((3, 3))))), "is not symmetric"),
     ("covariances", changed(after=covariance(np.diag([1.0, 1, -1]))), "negative eigenvalue -1 m"),
@@ -178,6 +185,8 @@ FAULTY = [  # rule, plug-in, words
     ("untouched", changed(after=in_place), "it changes batch.azimuth in place"),
     ("uninformed", changed(after=with_truth), "it calls scenario.truth"),
     ("uninformed", changed(after=with_true_anchors), "scenario.true_anchors, which differ .* up to 0.0374 m"),
+    ("unused", changed(uses=frozenset()), "uses leaves out 'elevation', and another one changes the outcome"),
+    ("unused", changed(after=weighted_by_strength, uses=frozenset({"elevation"})), "leaves out 'rssi'"),
     ("replications", changed(after=of_neighbour), "one replication alone .* changes the position"),
     ("replications", changed(after=first_rotations), "one replication alone"),
     ("moving_anchors", changed(after=still), "a step alone instead of in a track with anchors that move"),

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aoabench.estimators import least_squares, maximum_likelihood
 from aoabench.estimators.least_squares import by_kernel
 from aoabench.estimators.lines import AnchorDiscarding, LineLeastSquares
 from aoabench.estimators.vmf_likelihood import VmfLikelihood
@@ -147,6 +148,36 @@ def test_the_anchors_heard_give_the_fixes_of_all_anchors(name, hall):
         ok = same & (a.outcome == Outcome.OK)
         assert np.allclose(a.position[ok], b.position[ok], rtol=0, atol=1e-6)
         assert np.allclose(a.covariance[ok], b.covariance[ok], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["ls", "ml_arctan", "ml_atan2", "ml_kcorr"])
+@pytest.mark.parametrize("heard", [False, True])
+def test_numpy_solves_the_fixes_at_a_pole_and_no_others(name, heard, hall, monkeypatch):
+    """These fixes equal those of the engine numpy bit by bit, the others those of the kernel."""
+    batch = hall[heard]
+    one, counts = preset(name), []
+    before = one(batch, Place(hall[0].anchors), None)
+    elevation = batch.elevation.copy()
+    spots = [(0, 3, 90.0), (0, 7, -90.0), (2, 7, 90.0)]
+    for i, k, degrees in spots:
+        b = np.flatnonzero(np.isfinite(elevation[i, k]))[0]
+        elevation[i, k, b] = np.radians(degrees)
+    batch = replace(batch, elevation=elevation)
+    whole = replace(one, engine="numpy")(batch, Place(hall[0].anchors), None)
+    room = least_squares if name == "ls" else maximum_likelihood
+    planes = room.planes
+    monkeypatch.setattr(
+        room, "planes", lambda b, *more: counts.append(b.azimuth.shape[:2]) or planes(b, *more)
+    )
+    found = one(batch, Place(hall[0].anchors), None)
+    assert counts == [(1, len(spots))]
+    at = np.zeros(elevation.shape[:2], dtype=bool)
+    at[tuple(np.transpose([spot[:2] for spot in spots]))] = True
+    for field in ("position", "covariance", "iterations", "outcome", "anchors_used", "reason"):
+        if getattr(found, field) is not None:
+            value = getattr(found, field)
+            np.testing.assert_array_equal(value[at], getattr(whole, field)[at], field)
+            np.testing.assert_array_equal(value[~at], getattr(before, field)[~at], field)
 
 
 METHODS = {

@@ -1,8 +1,7 @@
 """Routes from CSV or GPX: a row, or a point, for each waypoint.
 
-A table has the columns x_m, y_m and, where known, z_m, or lat_deg, lon_deg and height_m. Of a GPX
-file its routes are read, without any its tracks, without any its waypoints. Its heights count from
-the sea; they and its times are not read.
+A table has the columns x_m, y_m and, where known, z_m, or lat_deg, lon_deg and height_m. The times
+of a GPX file play no part.
 """
 
 from __future__ import annotations
@@ -10,17 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
-from aoabench import loaded
 from aoabench.devices.anchors import AnchorsFile
 from aoabench.devices.geodesy import Origin, check_degrees, degree_columns
 from aoabench.devices.plans import plan
 from aoabench.devices.readers.columns import header, shown_columns
 from aoabench.devices.readers.table import Table
-from aoabench.errors import BadValue, check_array, shorten
+from aoabench.errors import BadValue, check_array
 from aoabench.maths.geometry import Array
 
 SAME_M = 0.01  # waypoints nearer to the one before are left out
@@ -62,7 +59,7 @@ def read_route(key: str, path: Path, origin: Origin | None) -> Route:
     kind = path.suffix.lower()
     if kind not in (*plan.TABLES, ".gpx"):
         raise BadValue(key, str(path), "waypoints [x, y] in m, or a file .csv or .gpx")
-    raw = Route(_gpx(key, path), geodetic=True) if kind == ".gpx" else _table(key, path)
+    raw = _table(key, path)
     points, heights = raw.points, raw.heights
     if raw.geodetic:
         lat, lon = points.T
@@ -100,7 +97,7 @@ def _table(key: str, path: Path) -> Route:
     local = all(present.count(name) == 1 for name in ("x_m", "y_m"))
     degrees = degree_columns(present)
     if not local and degrees is None:
-        allowed = "a table with the columns x_m, y_m, or lat_deg, lon_deg"
+        allowed = "a GPX file, or a table with the columns x_m, y_m, or lat_deg, lon_deg"
         raise BadValue(key, str(path), f"{allowed}; it has {shown_columns(present)}")
     names = ["x_m", "y_m"] if local or degrees is None else list(degrees[:2])
     height = "z_m" if "z_m" in present else None if local or degrees is None else degrees[2]
@@ -109,29 +106,3 @@ def _table(key: str, path: Path) -> Route:
     points = np.stack([table.numbers(name, empty=False) for name in names], axis=-1)
     heights = None if height is None else table.numbers(height, empty=False)
     return Route(points, not local, table.notes, heights)
-
-
-def _gpx(key: str, path: Path) -> Array:
-    """The latitudes and longitudes (K, 2) deg of a GPX file's points."""
-    try:
-        root = ElementTree.fromstring(loaded.read(path)[0])
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise BadValue(key, str(path), f"a GPX file; {shorten(str(error), 80)}") from None
-    for name in ("rtept", "trkpt", "wpt"):
-        points = [one for one in root.iter() if one.tag.rpartition("}")[2] == name]
-        if points:
-            break
-    else:
-        raise BadValue(key, str(path), "a GPX file with a route, a track or waypoints")
-    found = []
-    for number, point in enumerate(points):
-        cells = [point.get("lat"), point.get("lon")]
-        try:
-            pair = [float(cell) for cell in cells if cell is not None]
-        except ValueError:
-            pair = []
-        if len(pair) != 2 or not np.isfinite(pair).all():
-            wrong = f"{name} {number} has lat={cells[0]!r}, lon={cells[1]!r}"
-            raise BadValue(key, str(path), f"points with numbers lat and lon; {wrong}")
-        found.append(pair)
-    return np.array(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -29,12 +30,15 @@ EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None"]
 
 @dataclass(frozen=True)
 class Delimited(Content):
-    """A delimited text in UTF-8; `key` and `path` are for messages."""
+    """A delimited text in UTF-8; `key` and `path` are for messages. head: the line that names the
+    columns, empty without one; where it comes again, as in files joined by `cat`, it is no row.
+    """
 
     key: str = ""
     path: str = ""
     text: bytes = b""
     dialect: Dialect = COMMAS
+    head: bytes = b""
 
     def cells(self, names: Mapping[str, str]) -> pd.DataFrame:
         """The chosen columns; raises BadValue for a row with more cells than there are names."""
@@ -98,13 +102,42 @@ def delimited(
     dialect = known or dialect_of(text, key, path, given)
     part = Part(0, "line", dialect.skipped + 1)
     whole, notes = _complete(text, dialect, path)
-    return Delimited(list(dialect.names), (part,), notes, {}, key, path, whole, dialect)
+    head, start = _head(whole, dialect.skipped)
+    once, more = _without_line(whole, head, start)
+    if more:
+        words = "that name the columns again are left out, as of several files in one"
+        notes = (*notes, f"{path}: {more} lines {words}")
+    return Delimited(list(dialect.names), (part,), notes, {}, key, path, once, dialect, head)
 
 
 def following(before: Delimited, text: bytes, line: int) -> Delimited:
     """The content of a text that goes on where `before` ends; `line` is its first line's number."""
     dialect = replace(before.dialect, skipped=0)
-    return replace(before, parts=(Part(0, "line", line),), text=text, dialect=dialect, notes=())
+    rows, _ = _without_line(text, before.head, 0)
+    return replace(before, parts=(Part(0, "line", line),), text=rows, dialect=dialect, notes=())
+
+
+def _head(text: bytes, skipped: int) -> tuple[bytes, int]:
+    """The last of the `skipped` first lines, with its end, and the place after it; b"" and 0
+    without any.
+    """
+    start = end = 0
+    for _ in range(skipped):
+        start, end = end, text.find(b"\n", end) + 1
+        if not end:
+            return b"", 0
+    return text[start:end], end
+
+
+def _without_line(text: bytes, line: bytes, start: int) -> tuple[bytes, int]:
+    """The text with the `line`, wherever it stands from the place `start` on, left empty, so that
+    lines keep their numbers; and how often that is.
+    """
+    if not line.strip() or text.find(line, start) < 0:
+        return text, 0
+    again = re.compile(rb"^(?:\xef\xbb\xbf)?" + re.escape(line), re.M)
+    rows, count = again.subn(b"\n", text[start:])
+    return text[:start] + rows, count
 
 
 def _complete(text: bytes, dialect: Dialect, path: str) -> tuple[bytes, tuple[str, ...]]:

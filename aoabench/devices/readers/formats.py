@@ -12,6 +12,7 @@ from aoabench import loaded
 from aoabench.devices.readers.delimited import delimited
 from aoabench.devices.readers.documents import from_excel, from_json
 from aoabench.devices.readers.foreign import reason_of
+from aoabench.devices.readers.gpx import from_gpx, is_gpx
 from aoabench.devices.readers.parquet import parquet
 from aoabench.devices.readers.reading import AUTO, FILE, Content, Part, Reading
 from aoabench.devices.readers.silabs import SILABS, is_angles_alone
@@ -101,6 +102,8 @@ def text_content(text: bytes, key: str, path: str, given: Reading) -> Content:
         return found
     if is_angles_alone(head):
         raise BadValue(key, path, f"a {KINDS}; {_TOPICS}")
+    if is_gpx(head):
+        return from_gpx(text, path)
     if text.lstrip()[:1] in (b"{", b"["):
         return from_json(text, path)
     return delimited(text, key, path, given)

@@ -1,11 +1,11 @@
-"""Angles of Silicon Labs' locators from MQTT, as `mosquitto_sub -v` prints them.
+"""Angles of Silicon Labs' locators from MQTT, as `mosquitto_sub -v`, `-F %j` or `-F %J` print them.
 
     silabs/aoa/angle/<locator>/<tag> {"azimuth": deg, "azimuth_stdev": deg, "elevation": deg,
         "elevation_stdev": deg, "distance": m, "distance_stdev": m, "sequence": n}
 
 Angles are in the locator's frame, the azimuth counter-clockwise seen from its +z. A negative
 deviation means that there was no line of sight. Other topics are not read. A time of the host may
-stand in front of the topic.
+stand in front of the topic, as `-F %j` writes it: {"tst": time, "topic": ..., "payload": ...}.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ COLUMNS = {
     "sequence": "sequence",
 }
 _MESSAGE = (
-    r"(?s)^(?P<torn>.*\n)?(?P<before>[^\n{]*?)silabs/aoa/angle/"
-    r"(?P<anchor>[^\s/{]+)/(?P<tag>[^\s/{]+)\s*\{(?P<payload>[^{]*)$"
+    r"(?s)^(?P<torn>.*\n)?(?P<before>[^\n]*?)silabs/aoa/angle/"
+    r'(?P<anchor>[^\s/{"]+)/(?P<tag>[^\s/{"]+)(?:"[^{\n]*)?\s*\{(?P<payload>[^{]*)$'
 )
 _NUMBER = r"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?"
+_TEXT = re.compile(r':\s*"')
 _TOPIC = re.compile(r"silabs/aoa/(\w+)/")
 
 
@@ -49,14 +50,19 @@ def is_silabs(head: str) -> bool:
 
 
 def is_angles_alone(head: str) -> bool:
-    """Whether the text has the payloads of angles without their topics."""
-    return '"azimuth_stdev"' in head and '"sequence"' in head and not is_silabs(head)
+    """Whether the text has the payloads of angles without their topics, and no texts that may name
+    locators and tags in their place.
+    """
+    payload = '"azimuth_stdev"' in head and '"sequence"' in head
+    return payload and not is_silabs(head) and not _TEXT.search(head)
 
 
 def angles(text: str, path: str, first: int = 1) -> Rows:
     """The angles of a text whose first line has the number `first`, with notes on what is left."""
     import pandas as pd
 
+    if '\\"' in text:  # a payload within a text of JSON
+        text = text.replace('\\"', '"').replace("\\n", " ").replace("\\t", " ")
     parts = pieces(text, "}")
     rows, groups = matched(parts, _MESSAGE)
     frame = pd.DataFrame({name: texts(groups[name]) for name in ("tag", "anchor")})

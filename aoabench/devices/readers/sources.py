@@ -15,7 +15,7 @@ from typing import Any
 
 from aoabench import loaded
 from aoabench.devices.readers.reading import AUTO, Reading
-from aoabench.errors import BadValue, listed
+from aoabench.errors import BadValue, listed, near_file
 
 KINDS = (
     "table (.csv, .tsv, .txt, .parquet, .xlsx, JSON lines, or packed with gzip) "
@@ -34,7 +34,10 @@ def expanded(key: str, path: Any) -> list[str]:
     if isinstance(path, Sequence) and not isinstance(path, str):
         found = [file for one in path for file in expanded(key, one)]
     elif isinstance(path, str) and has_magic(path) and not os.path.exists(path):
-        found = sorted((f for f in glob(path, recursive=True) if not os.path.isdir(f)), key=natural)
+        files = (one for one in glob(path, recursive=True) if not os.path.isdir(one))
+        # a link to a folder above itself leads to the same files again
+        first = {os.path.realpath(one): one for one in sorted(files, key=len, reverse=True)}
+        found = sorted(first.values(), key=natural)
     elif isinstance(path, str) and os.path.isdir(path):
         found = _parquet_files(path)
     else:
@@ -42,8 +45,10 @@ def expanded(key: str, path: Any) -> list[str]:
         return [path]
     if not found:
         folder = isinstance(path, str) and os.path.isdir(path)
-        hint = f"; this is a folder: '{path}/*.csv' names the files in it" if folder else ""
-        raise BadValue(key, path, f"an {EXISTING}, a list of files, or a glob{hint}")
+        hint = (
+            f"this is a folder: '{path}/*.csv' names the files in it" if folder else "no file fits"
+        )
+        raise BadValue(key, path, f"an {EXISTING}, a list of files, or a glob; {hint}")
     twice = sorted({one for one in found if found.count(one) > 1})
     if twice:
         raise BadValue(key, path, f"each file once; {listed(twice)} occurs more than once")
@@ -83,7 +88,11 @@ def text_of(path: object, given: Reading = AUTO) -> bytes:
     content = content.removeprefix(codecs.BOM_UTF8)
     if content[:4] not in _BINARY and (place := content.find(b"\0")) >= 0:
         raise ValueError(f"byte {place} is 0, as in binary files; this is no text")
-    return content if marked or content[:4] in _BINARY else given.in_utf8(content)
+    if content[:4] in _BINARY:
+        return content
+    if b"\r" in content and b"\n" not in content:
+        content = content.replace(b"\r", b"\n")  # one line end each, as of a serial line
+    return content if marked else given.in_utf8(content)
 
 
 def stem(path: str) -> str:
@@ -115,7 +124,7 @@ def _check_file(key: str, path: Any) -> None:
     """Raise BadValue unless `path` is a regular file."""
     if isinstance(path, str) and os.path.isfile(path):
         return
-    hint = ""
+    hint = near_file(path) if isinstance(path, str) else ""
     try:
         mode = os.stat(path).st_mode
         if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode) or stat.S_ISSOCK(mode):

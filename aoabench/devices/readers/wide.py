@@ -4,7 +4,8 @@
 and its columns are called as below, in any order; a word or unit may be absent. Where no column
 orders the rows, each row is a fix.
 
-    azimuth_deg_A1   azimuth_A1_deg   A1_azimuth_deg   (and elevation, rssi, range, ..._sigma)
+    azimuth_deg_A1   azimuth_A1_deg   A1_azimuth_deg   (and elevation, rssi, range, ..._sigma; of
+                                                       anchors that move anchor_x, anchor_lat, ...)
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from aoabench.devices.readers.reading import ANCHOR, Content
 if TYPE_CHECKING:
     import pandas as pd
 
+_DEGREES = ("anchor_lat", "anchor_lon", "anchor_facing", "anchor_bearing")
 _WORDS = {
     "azimuth": ("azimuth|azim|az", ("deg", "rad")),
     "elevation": ("elevation|elev|el", ("deg", "rad")),
@@ -29,6 +31,8 @@ _WORDS = {
     "rssi": ("rssi", ("dbm",)),
     "range": ("range|distance|dist", ("m",)),
     "range_sigma": ("(?:range|distance|dist)_(?:sigma|std|stdev)", ("m",)),
+    **{f"anchor_{axis}": (f"anchor_{axis}", ("m",)) for axis in "xyz"},
+    **{one: (one, ("deg",)) for one in _DEGREES},
 }
 _ORDER = re.compile(r"fix|time|t$|date|stamp|seq|epoch|mark|row|frame", re.I)
 _NO_IDS = re.compile(r"(?:sigma|std|stdev|true|truth|error|err|offset|deg|rad|dbm|m)(?:_.*)?", re.I)
@@ -70,7 +74,8 @@ class Wide(Content):
         found = found.assign(**{ours: rows[ours].to_numpy() for ours in own})
         if "anchor" in names.values() and not self._has("anchor"):
             found["anchor"] = np.tile(np.array(ids, dtype=object), len(cells))
-        empty = found[list(long)].isna().all(axis=1).to_numpy().reshape(len(cells), len(ids))
+        measured = [ours for ours in long if not ours.startswith("anchor_")] or list(long)
+        empty = found[measured].isna().all(axis=1).to_numpy().reshape(len(cells), len(ids))
         keep = ~empty
         keep[:, 0] |= empty.all(axis=1)  # a fix without any measurement stays a fix
         return found[list(names)][keep.ravel()]

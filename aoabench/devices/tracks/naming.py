@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from aoabench.devices.readers.columns import shown_columns
+from aoabench.devices.readers.columns import found_column, shown_columns
 from aoabench.devices.readers.reading import FILE, Content
 from aoabench.devices.readers.wide import Wide
 from aoabench.devices.tracks.log import Conventions
@@ -40,37 +40,47 @@ def chosen_columns(
 ) -> dict[str, str]:
     """Map aoabench's column names to those of the file with `columns`, for the columns to read.
 
-    A column has its name in `named`, or else the first of its default names that the file has.
+    A column has its name in `named`, or else the first of its default names that the file has, in
+    upper or lower case and with any marks: `Azimuth (deg)` is azimuth_deg.
     Raises BadValue if a named or required column is missing, or occurs twice. A fix, a sequence
     number or a time is always required; x and y are required if one of x, y, z is read.
     """
     chosen = {
-        ours: next((one for one in defaults[ours] if one in columns), None)
-        if name is None
-        else name
+        ours: found_column(defaults[ours], columns) if name is None else name
         for ours, name in named.items()
     }
     grouped = any(chosen[ours] for ours in ("fix", "sequence", "anchor_time"))
     required = required | (set() if grouped else {"time"})
     required |= {"x", "y"} if any(chosen.get(axis) for axis in "xyz") else set()
+    lost = [ours for ours, name in chosen.items() if name is None and ours in required]
     for ours, name in chosen.items():
-        if name is None and ours in required:
-            raise _no_column(ours, name, defaults[ours][0], path, columns)
+        if ours in lost:
+            raise _no_column(ours, name, defaults[ours][0], path, columns, lost)
         if name is not None and columns.count(name) != 1:
             raise _no_column(ours, name, name, path, columns)
     return {ours: name for ours, name in chosen.items() if name is not None}
 
 
 def _no_column(
-    ours: str, name: str | None, wanted: str, path: object, columns: Sequence[str]
+    ours: str,
+    name: str | None,
+    wanted: str,
+    path: object,
+    columns: Sequence[str],
+    lost: Sequence[str] = (),
 ) -> BadValue:
-    """The error for the column `ours`, whose name `wanted` is missing or twice in the file."""
+    """The error for the column `ours`, whose name `wanted` is missing or twice in the file; `lost`
+    are all required columns that are missing.
+    """
     default = f", by default called {wanted}," if name is None else ""
     allowed = f"a column{default} of {path}, which has {shown_columns(columns)}"
     if wanted in columns:
         allowed += f"; {wanted} occurs {columns.count(wanted)} times"
     else:
         allowed += did_you_mean(wanted, columns)
+    if lost:
+        words = ",".join(f"{one}:NAME" for one in lost)
+        allowed += f"; 'scenario.columns={{{words}}}' reads columns of other names"
     if ours == "time":
         units = [unit for unit in SECONDS if f"time_{unit}" in columns]
         allowed += "".join(f"; scenario.time_unit={unit} reads time_{unit}" for unit in units)
@@ -84,7 +94,7 @@ def _no_column(
 def unread(content: Content, chosen: Mapping[str, str], path: object) -> list[str]:
     """A line with the columns of a table that are not read, else an empty list."""
     known = {*chosen.values(), FILE, *EXPECTED}
-    left = [name for name in content.columns if name not in known]
+    left = [name for name in content.columns if name and name not in known]
     if not left or content.stated or isinstance(content, Wide):
         return []
     return [f"{path}: columns that are not read: {listed(left)}"]

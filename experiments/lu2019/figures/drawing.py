@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from aoabench.report.plots import GREY, PAGE, error_bars, new
+from aoabench.report.text import significant
 
 from .values import consistent
 
@@ -127,7 +128,7 @@ def _errors(axis: Any, rows: pd.DataFrame, name: str, part: str) -> None:
     for x, y in zip(sigma[seen.isna()], value[seen.isna()]):
         colour = STYLES[name]["color"]
         axis.plot(x, SHOWN_M[1], marker=6, color=colour, clip_on=False)
-        text = f"{y / 1000:.3g} km" if y >= 1000 else f"{y:.3g} m"
+        text = f"{significant(y / 1000, 3)} km" if y >= 1000 else f"{significant(y, 3)} m"
         at = {"xytext": (0, 5), "textcoords": "offset points", "annotation_clip": False}
         axis.annotate(text, (x, SHOWN_M[1]), ha="center", fontsize=6.5, color=colour, **at)
 

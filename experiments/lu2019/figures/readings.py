@@ -9,7 +9,7 @@ import pandas as pd
 
 from aoabench.maths.estimate import Estimate, stored
 from aoabench.report.plots import PAGE, new
-from aoabench.report.text import number_text
+from aoabench.report.text import interval_text
 
 from .drawing import NAMES, STYLES
 
@@ -76,7 +76,7 @@ def readings(frame: pd.DataFrame) -> Figure:
 
 def readings_table(frame: pd.DataFrame) -> pd.DataFrame:
     """Median errors in m of each method at each uncertainty, and the share of trials in which the
-    filter without times diverges, as texts: a row for each reading.
+    filter without times diverges, as texts with 95 % intervals: a row for each reading.
     """
     rows = frame.set_index(["setting", "an_error", "an_sigma_m", "estimator"])
     sigmas = sorted(frame["an_sigma_m"].unique())
@@ -87,10 +87,15 @@ def readings_table(frame: pd.DataFrame) -> pd.DataFrame:
             for sigma in sigmas:
                 for name, label in NAMES.items():
                     r = rows.loc[setting, kind, sigma, name]
-                    text = number_text(r["median_3d"], r["median_3d_se"])
-                    line[f"{label} at {sigma:g} m [m]"] = text
+                    line[f"{label} at {sigma:g} m [m]"] = _text(stored(r, "median_3d"))
             r = rows.loc[setting, kind, HIGHEST_M, "ekf_aoa"]
-            share = number_text(100 * r["diverged"], 100 * r["diverged_se"])
+            share = _text(stored(r, "diverged").percent(), 0.0, 100.0)
             line[f"{NAMES['ekf_aoa']}, diverged at {HIGHEST_M:g} m [%]"] = share
             found.append(line)
     return pd.DataFrame(found)
+
+
+def _text(number: Estimate, least: float = 0.0, most: float = np.inf) -> str:
+    """A number that lies between two values, with its 95 % interval."""
+    low, high = number.interval()
+    return interval_text(number.value, max(low, least), min(high, most))

@@ -35,7 +35,7 @@ def read(content, path="capture.log", **given):
 # --- u-blox ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\r\r\n"])
 def test_fields_of_a_ublox_line(end, here):
     table = read(end.join(LINES))
     row = table.frame.iloc[0].to_dict()
@@ -107,6 +107,23 @@ def test_fields_of_silicon_labs(indent, before, here):
     assert table.at(1) == f"line {2 if indent is None else 10}"
 
 
+@pytest.mark.parametrize("indent", [None, "\t"])
+@pytest.mark.parametrize("packed", [dict, json.dumps], ids=["%J", "%j"])
+def test_silicon_labs_as_objects_with_the_time_and_the_topic(indent, packed, here):
+    """The outer object is on one line, as mosquitto_sub writes it."""
+    payload = PAYLOAD if packed is dict else json.dumps(PAYLOAD, indent=indent)
+    head = {"tst": "2024-05-16T12:00:00.125000+0200", "topic": TOPIC, "qos": 0, "retain": 0}
+    lines = [json.dumps(head | {"payloadlen": 9, "payload": payload}) + "\n"] * 3
+    plain = read(f"2024-05-16T10:00:00.125Z {TOPIC} {json.dumps(PAYLOAD)}\n" * 3)
+    for text in ("".join(lines), lines[0] + lines[1][:120] + "\n" + lines[2]):
+        table = read(text)
+        whole = len(table.frame)
+        assert whole == 3 - len(table.notes)
+        pd.testing.assert_frame_equal(
+            table.frame, plain.frame.take([0, 1, 2] if whole == 3 else [0, 2])
+        )
+
+
 def test_other_topics_and_torn_payloads_are_counted(here):
     whole = f"{TOPIC} {json.dumps(PAYLOAD)}\n"
     other = 'silabs/aoa/position/positioning/ble-pd-0B0000000001 {"x": 1, "sequence": 3}\n'
@@ -153,6 +170,10 @@ CSV = "time_s,anchor,azimuth_deg\n" + "".join(f"{i / 8},a{i % 3},{i}.5\n" for i 
 STREAMS = {
     "ublox": "OK\r\n" + "\r\n".join(LINES * 5) + "\r\n",
     "silabs": "".join(f"{TOPIC} {json.dumps(PAYLOAD, indent=1)}\n" for _ in range(6)),
+    "silabs %j": "".join(
+        json.dumps({"topic": TOPIC, "payload": json.dumps(PAYLOAD, indent="\t")}) + "\n"
+        for _ in range(6)
+    ),
     "csv": CSV,
     "comments": CSV.replace("1.5\n", "1.5\n# lost the link, 3 times\n"),
     "semicolons": CSV.replace(",", ";").replace(".", ","),

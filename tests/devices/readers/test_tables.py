@@ -4,6 +4,7 @@ import gzip
 import io
 import json
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,26 @@ def test_lines_above_and_among_the_rows(before, rows, here):
     assert table.at(30, "azimuth") == f"line {place} has azimuth_deg={rows['azimuth_deg'][30]}"
 
 
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_files_joined_by_cat_repeat_the_names(mark, end, rows, here):
+    first, second = rows[:10], rows[10:]
+    texts = [mark + part.to_csv(index=False, lineterminator=end) for part in (first, second)]
+    Path("log.csv").write_bytes("".join(texts).encode())
+    table = read()
+    check(table, rows)
+    words = "that name the columns again are left out, as of several files in one"
+    assert table.notes == (f"log.csv: 1 lines {words}",)
+    assert table.at(10, "fix") == "line 13 has fix='2'"
+
+
+def test_lines_may_end_with_cr_alone(rows, here):
+    Path("log.csv").write_bytes(rows.to_csv(index=False, lineterminator="\r").encode())
+    table = read()
+    check(table, rows)
+    assert table.at(0) == "line 2"
+
+
 def test_an_id_may_begin_like_a_comment(here):
     Path("log.csv").write_text("anchor,azimuth_deg\n#1,10\n#2,20\n")
     table = read(names={"anchor": "anchor", "azimuth": "azimuth_deg"})
@@ -188,12 +209,35 @@ def test_a_log_in_several_files_is_one_log(rows, here):
         read(files)
 
 
+def test_links_that_lead_back_add_no_files(here):
+    (here / "logs").mkdir()
+    (here / "logs" / "a.csv").write_text("anchor\nx\n")
+    (here / "logs" / "again").symlink_to(here / "logs")
+    assert len(read("logs/**/*.csv", {"anchor": "anchor"}).frame) == 1
+
+
+def test_a_link_to_itself_is_no_file(here):
+    Path("loop").symlink_to("loop")
+    with pytest.raises(BadValue, match="an existing file"):
+        header("path", "loop")
+
+
+def test_angles_of_silicon_labs_with_ids_of_another_name_are_a_table(here):
+    one = {"azimuth": 1.5, "azimuth_stdev": 2.0, "sequence": 7}
+    Path("log.json").write_text(json.dumps([one | {"locator": name} for name in "ab"]))
+    table = read("log.json", {"anchor": "locator", "azimuth": "azimuth"})
+    assert table.texts("anchor")[1] == ["a", "b"]
+    Path("log.json").write_text(json.dumps([one, one]))
+    with pytest.raises(BadValue, match="without their topics"):
+        header("path", "log.json")
+
+
 def test_lists_and_globs_that_are_wrong(here):
     Path("a.csv").write_text("x\n1\n")
     Path("folder").mkdir()
     for path, words in (
         (["a.csv", "a.csv"], "each file once"),
-        ("b*.csv", "or a glob"),
+        ("b*.csv", "or a glob; no file fits"),
         ("folder", "'folder/\\*.csv' names the files"),
         (["a.csv", "b.csv"], "path='b.csv'.*existing"),
         ([], "existing"),
@@ -260,6 +304,13 @@ def test_excel(rows, here):
     assert table.at(0) == "row 2"
     rows.to_excel("log.xlsx", header=False, index=False)
     check(read("log.xlsx", header=tuple(NAMES)), rows)
+
+
+def test_without_openpyxl_the_extra_is_named(here, monkeypatch):
+    Path("log.xlsx").write_bytes(b"PK\x03\x04")
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(BadValue, match=r"pip install 'aoabench\[xlsx\]'; or save it as CSV"):
+        header("path", "log.xlsx")
 
 
 # --- wide tables ----------------------------------------------------------------------------------

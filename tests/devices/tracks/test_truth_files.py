@@ -9,7 +9,7 @@ import pytest
 
 from aoabench.config.compose import compose_cells
 from aoabench.errors import BadValue
-from aoabench.scenarios.recorded import Recorded
+from aoabench.scenarios.recorded import Columns, Recorded
 
 NAN = math.nan
 
@@ -80,6 +80,27 @@ def test_truth_in_degrees_needs_an_origin():
     found = positions(text, origin_deg=[60.0, 24.0])
     np.testing.assert_allclose(found[:, :2], np.tile([11.16, 11.14], (5, 1)), atol=0.01)
     assert np.isnan(found[:, 2]).all()
+
+
+def test_a_gpx_track_is_that_of_a_table_without_its_heights():
+    lat, lon = 60.00003, 24.00005
+    steps = [(lat, lon, 0), (lat + 1e-5, lon, 2), (lat, lon - 2e-5, 4)]
+    days = [f"2026-03-01T12:00:0{t}Z" for _, _, t in steps]
+    text = "time,lat_deg,lon_deg\n" + "".join(
+        f"{day},{a!r},{b!r}\n" for (a, b, _), day in zip(steps, days)
+    )
+    gpx = '<?xml version="1.0"?>\n<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
+    for (a, b, _), day in zip(steps, days):
+        gpx += f'<trkpt lat="{a!r}" lon="{b!r}"><ele>40</ele><time>{day}</time></trkpt>'
+    log = "time_s,anchor,azimuth_deg\n" + "".join(
+        f"2026-03-01T12:00:0{t}Z,a1,1\n" for t in range(5)
+    )
+    given = {"log": log, "origin_deg": [60.0, 24.0], "truth_gap_s": 2}
+    found = read(gpx + "</trkseg></trk></gpx>", **given)
+    assert "truth.csv: heights (ele) are not read, because they count from the sea" in found.notes
+    np.testing.assert_array_equal(found.truth(None), positions(text, **given))
+    assert np.isfinite(found.truth(None)[:, :2]).all()
+    assert np.isnan(found.truth(None)[:, 2]).all()
 
 
 def test_truth_in_degrees_in_the_log_is_that_of_a_file():
@@ -200,3 +221,15 @@ def test_the_key_in_a_config_is_truth():
     ]
     with pytest.raises(BadValue, match=r"scenario\.truth='7' "):
         compose_cells([*words, "scenario.truth=7", "estimator=[anchor_mean]"])
+
+
+def test_columns_have_the_names_that_the_log_declares():
+    log = "Zeit,Geraet,anchor,azimuth_deg\n0,T1,a1,1\n1,T1,a1,1\n1,T2,a1,1\n"
+    declared = Columns(time="Zeit", tag="Geraet")
+    truth = "Zeit,Geraet,x_m,y_m\n0,T1,1,2\n1,T1,3,4\n1,T2,5,6\n"
+    s = read(truth, log=log, columns=declared)
+    np.testing.assert_allclose(s.truth(None)[:, :2], [[1, 2], [3, 4], [5, 6]])
+    again = read(truth.replace("Zeit,Geraet", "time_s,tag"), log=log, columns=declared)
+    np.testing.assert_array_equal(again.truth(None), s.truth(None))
+    with pytest.raises(BadValue, match="or with the log's names of these columns; it has Uhr, "):
+        read(truth.replace("Zeit", "Uhr"), log=log, columns=declared)
