@@ -1,19 +1,19 @@
 """Every method counts anchors, not packets: an anchor that sends a packet twice is one anchor."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from aoabench.config import catalogue
 from aoabench.config.compose import compose_cells
 from aoabench.config.presets import options
 from aoabench.deployment.solving import solve
-from aoabench.errors import UserError
 from aoabench.maths.geometry import euler
 
-METHODS = [f"estimator=[{name}]" for name in options("estimator")]
-METHODS += [f"filter=[{name}]" for name in options("filter") if name != "map_smoother"]
+METHODS = [*options("estimator"), *(name for name in options("filter") if name != "map_smoother")]
 ANCHORS = {"a": (0, 0, 3, 45), "b": (8, 0, 3, 135), "c": (8, 6, 3, 225), "d": (0, 6, 3, -45)}
 ANCHORS |= {"e": (4, 0, 3, 90)}
 WRONG = {3: "b", 4: "b"}  # the anchors, by fix, whose azimuths are 70 deg off
@@ -48,19 +48,23 @@ def logged(tmp_path_factory):
     return folder
 
 
-def used(word, combine, engine):
-    """The number of anchors that each fix uses, None where the method does not fit recordings."""
+@cache
+def cell_of(combine):
+    """The cell with all methods that fit this recording."""
     words = ["scenario=recorded", "scenario.path=log.csv", "scenario.anchors=anchors.csv"]
-    words += [f"scenario.combine={combine}", "scenario.height_m=1", word]
-    words += ["scenario.motion=random_walk"]
-    name = word.split("[")[1][:-1]
-    words += ["estimator.single_anchor_1.anchor=2"] if name == "single_anchor_1" else []
-    try:
-        (cell,) = compose_cells(words)
-    except UserError:
-        return None
-    (method,) = cell.estimators.values()
-    if engine == "numpy" and "engine" not in method.__dataclass_fields__:
+    words += [f"scenario.combine={combine}", "scenario.height_m=1", "scenario.motion=random_walk"]
+    (cell,) = compose_cells([*words, "estimator=[ls_lines]"])
+    found = catalogue.fitting_estimators(cell.scenario, cell.noise)
+    found["filter"].remove("map_smoother")
+    chosen = [f"{group}=[{','.join(names)}]" for group, names in found.items()]
+    return compose_cells([*words, *chosen, "estimator.single_anchor_1.anchor=2"])[0]
+
+
+def used(name, combine, engine):
+    """The number of anchors that each fix uses, None where the method does not fit recordings."""
+    cell = cell_of(combine)
+    method = cell.estimators.get(name)
+    if method is None or (engine == "numpy" and "engine" not in method.__dataclass_fields__):
         return None
     method = replace(method, engine=engine) if engine == "numpy" else method
     found = solve(cell.scenario, cell.noise, method, cell.scenario.tracks.counts)
@@ -68,13 +72,13 @@ def used(word, combine, engine):
 
 
 @pytest.mark.parametrize("engine", ["auto", "numpy"])
-@pytest.mark.parametrize("word", METHODS)
-def test_anchors_are_counted_and_not_packets(word, engine, logged, monkeypatch):
+@pytest.mark.parametrize("name", METHODS)
+def test_anchors_are_counted_and_not_packets(name, engine, logged, monkeypatch):
     monkeypatch.chdir(logged)
-    once = used(word, "first", engine)
+    once = used(name, "first", engine)
     if once is None:
         pytest.skip("not for recordings, or one engine")
-    each = used(word, "each", engine)
+    each = used(name, "each", engine)
     assert np.nanmax(each) <= len(ANCHORS)
     voted = once > 0  # packets of one anchor agree, so that more fixes pass a vote
     np.testing.assert_array_equal(each[voted], once[voted])
