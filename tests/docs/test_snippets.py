@@ -75,7 +75,9 @@ def test_pages_share_a_folder_only_for_the_same_run():
         mine = defaultdict(set)
         for block in snippets.blocks(page):
             for command in block.commands if block.kind in snippets.SHELL else ():
-                words = [w for w in command.partition(" #")[0].split() if not w.startswith("--worst")]
+                words = [
+                    w for w in command.partition(" #")[0].split() if not w.startswith("--worst")
+                ]
                 for word in words:
                     if word.startswith("runner.out=results/"):
                         mine[word[11:]].add(" ".join(words).removeprefix(".venv/bin/"))
