@@ -75,20 +75,25 @@ def list_presets(
     """
     if config_dir and not Path(config_dir).is_dir():
         raise UserError(f"--config-dir={config_dir}: no such folder; allowed: an existing folder")
+    if name and "=" in name:
+        words, name = (name, *words), None
+    plugins = _plugins(words)
     if fits is not None:
         if name is not None:
             raise UserError(f"{name!r} is not allowed with --fits; allowed: either NAME or --fits")
-        _print_fits(fits, config_dir, as_json)
+        _print_fits(fits, config_dir, plugins, as_json)
     elif name is None or name in GROUPS:
         _print_groups([name] if name else list(GROUPS), config_dir, as_json)
     elif "." in name or name in _KEYS:
-        _print_key(name, config_dir, _plugins(words), as_json)
+        _print_key(name, config_dir, plugins, as_json)
     else:
-        _print_preset(name, config_dir, _plugins(words), as_json)
+        _print_preset(name, config_dir, plugins, as_json)
 
 
 def _plugins(words: tuple[str, ...]) -> tuple[str, ...]:
     """The packages of plugins=[...]; UserError for other words."""
+    if not words:
+        return ()
     from aoabench.config.overrides import read
     from aoabench.config.plugins import parse_plugins
 
@@ -112,11 +117,13 @@ def _print_groups(groups: list[str], config_dir: str | None, as_json: bool) -> N
             echo(wrapped(f"  {preset:24s} {text}", 27))
 
 
-def _print_fits(scenario: str, config_dir: str | None, as_json: bool) -> None:
+def _print_fits(
+    scenario: str, config_dir: str | None, plugins: tuple[str, ...], as_json: bool
+) -> None:
     from aoabench.config import catalogue
 
-    found = catalogue.fitting(scenario, config_dir)
-    without = catalogue.not_in_all(config_dir)
+    found = catalogue.fitting(scenario, config_dir, plugins)
+    without = catalogue.not_in_all(config_dir, plugins)
     if as_json:
         mine = {g: {n: why for n, why in without[g].items() if n in found[g]} for g in found}
         print_json({"fits": found, "not_in_all": mine})
@@ -151,7 +158,7 @@ def _print_preset(
     from aoabench.config import about
 
     found = about.about(name, config_dir, plugins)
-    fits = about.fits(found, config_dir)
+    fits = about.fits(found, config_dir, plugins)
     if as_json:
         rows = [p._asdict() for p in found.parameters]
         print_json({**found._asdict(), "parameters": rows, "fits": fits})

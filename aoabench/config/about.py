@@ -203,17 +203,21 @@ def _source(cls: type) -> str:
     return f"{cls.__module__.replace('.', '/')}.py"
 
 
-def fits(found: About, config_dir: str | None = None) -> dict[str, list[str]]:
+def fits(
+    found: About, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> dict[str, list[str]]:
     """Presets that run with this one. Of a filter or estimator: scenario -> noises; of a scenario:
     group -> filters or estimators; of a noise: "scenario" -> scenarios. Nothing for other groups,
     and where a preset cannot be built as it is, such as a recording without its file.
     """
     try:
         if found.group in LISTS:
-            return catalogue.fitting_places(found.group, found.preset, config_dir)
+            return catalogue.fitting_places(found.group, found.preset, config_dir, plugins)
         if found.group == "noise":
-            return {"scenario": catalogue.scenarios_of(found.preset, config_dir)}
-        whole = catalogue.fitting(found.preset, config_dir) if found.group == "scenario" else {}
+            return {"scenario": catalogue.scenarios_of(found.preset, config_dir, plugins)}
+        if found.group != "scenario":
+            return {}
+        whole = catalogue.fitting(found.preset, config_dir, plugins)
     except UserError:
         return {}
     return {group: list(names) for group, names in whole.items() if names}

@@ -86,7 +86,9 @@ def own_presets(config_dir: str, plugin: str) -> dict[tuple[str, str], Any]:
     return found
 
 
-def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str, list[str]]]:
+def fitting(
+    scenario: str, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> dict[str, dict[str, list[str]]]:
     """By group and name, the filters and estimators that run in a scenario, each with its possible
     noises.
 
@@ -96,51 +98,64 @@ def fitting(scenario: str, config_dir: str | None = None) -> dict[str, dict[str,
     if scenario not in known:
         hint = did_you_mean(scenario, known) or f"; allowed: {', '.join(known)}"
         raise UserError(f"--fits={scenario}: unknown scenario{hint}")
+    plain = composed([f"scenario={scenario}"], config_dir, plugins)
+    place = as_scenario(construct(plain["scenario"], "scenario", plugins), "scenario")
     found: dict[str, dict[str, list[str]]] = {group: {} for group in LISTS}
     for noise in options("noise", config_dir):
-        for group, name in fitting_presets(scenario, noise, config_dir):
+        for group, name in _that_fit(*_with_noise(noise, config_dir, plugins), place, plugins):
             found[group].setdefault(name, []).append(noise)
     return found
 
 
-def fitting_presets(
-    scenario: str, noise: str, config_dir: str | None = None
-) -> list[tuple[str, str]]:
-    """Group and name of the filters and estimators that run in a scenario with a noise."""
-    chosen = [f"scenario={scenario}", f"noise={noise}"]
-    plain = composed([*chosen, *_every_estimator(config_dir)], config_dir)
-    place = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
-    errors = as_noise(construct(plain["noise"], "noise"), "noise")
-    return list(_that_fit(plain, place, errors))
-
-
-def fitting_places(group: str, name: str, config_dir: str | None = None) -> dict[str, list[str]]:
+def fitting_places(
+    group: str, name: str, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> dict[str, list[str]]:
     """By scenario, the noises with which a preset of a filter or estimator runs in it."""
-    places = _scenarios(config_dir)
+    places = _scenarios(config_dir, plugins)
     found: dict[str, list[str]] = {}
     for noise in options("noise", config_dir):
-        plain = composed([f"{group}=[{name}]", f"noise={noise}"], config_dir)
-        errors = as_noise(construct(plain["noise"], "noise"), "noise")
+        plain = composed([f"{group}=[{name}]", f"noise={noise}"], config_dir, plugins)
+        try:
+            errors = as_noise(construct(plain["noise"], "noise", plugins), "noise")
+        except UserError:  # a preset of another package than `plugins`
+            continue
         for scenario, place in places.items():
-            if (group, name) in _that_fit(plain, place, errors):
+            if (group, name) in _that_fit(plain, errors, place, plugins):
                 found.setdefault(scenario, []).append(noise)
     return found
 
 
-def scenarios_of(noise: str, config_dir: str | None = None) -> list[str]:
+def scenarios_of(
+    noise: str, config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> list[str]:
     """The scenarios in which a filter or estimator runs with a noise."""
-    plain = composed([f"noise={noise}", *_every_estimator(config_dir)], config_dir)
-    errors = as_noise(construct(plain["noise"], "noise"), "noise")
-    places = _scenarios(config_dir).items()
-    return [name for name, place in places if any(_that_fit(plain, place, errors))]
+    plain, errors = _with_noise(noise, config_dir, plugins)
+    places = _scenarios(config_dir, plugins).items()
+    return [name for name, place in places if any(_that_fit(plain, errors, place, plugins))]
 
 
-def _scenarios(config_dir: str | None) -> dict[str, Scenario]:
+def _with_noise(
+    noise: str, config_dir: str | None, plugins: Sequence[str]
+) -> tuple[Mapping[str, Any], Noise]:
+    """The config with a noise and all filters and estimators, which may be fitted to it; and the
+    noise.
+    """
+    if config_dir is None:
+        return _shipped_with_noise(noise)
+    plain = composed([f"noise={noise}", *_every_estimator(config_dir)], config_dir, plugins)
+    return plain, as_noise(construct(plain["noise"], "noise", plugins), "noise")
+
+
+@cache
+def _shipped_with_noise(noise: str) -> tuple[Mapping[str, Any], Noise]:
+    plain = composed([f"noise={noise}", *_every_estimator()])
+    return plain, as_noise(construct(plain["noise"], "noise"), "noise")
+
+
+def _scenarios(config_dir: str | None = None, plugins: Sequence[str] = ()) -> dict[str, Scenario]:
     """The scenarios that can be built from their presets alone."""
-    shipped = _shipped_scenarios()
-    return (
-        shipped | _built(own_options("scenario", config_dir), config_dir) if config_dir else shipped
-    )
+    own = own_options("scenario", config_dir) if config_dir else ()
+    return _shipped_scenarios() | _built(own, config_dir, plugins)
 
 
 @cache
@@ -148,29 +163,35 @@ def _shipped_scenarios() -> dict[str, Scenario]:
     return _built(options("scenario"), None)
 
 
-def _built(names: Iterable[str], config_dir: str | None) -> dict[str, Scenario]:
+def _built(
+    names: Iterable[str], config_dir: str | None, plugins: Sequence[str] = ()
+) -> dict[str, Scenario]:
     """The scenarios with these names that can be built from their presets alone."""
     from hydra import compose
 
     with hydra_initialised(config_dir), explained((), config_dir):
         each = {name: compose("config", overrides=[f"scenario={name}"]) for name in names}
-        nodes = {name: resolved(plain_nodes(cfg, Speller())) for name, cfg in each.items()}
+        nodes = {name: resolved(plain_nodes(cfg, Speller(plugins))) for name, cfg in each.items()}
     found = {}
     for name, plain in nodes.items():
         try:
-            found[name] = as_scenario(construct(plain["scenario"], "scenario"), "scenario")
+            built = construct(plain["scenario"], "scenario", plugins)
+            found[name] = as_scenario(built, "scenario")
         except UserError:  # a recording needs the file that it is in
             continue
     return found
 
 
-def not_in_all(config_dir: str | None = None) -> dict[str, dict[str, str]]:
+def not_in_all(
+    config_dir: str | None = None, plugins: Sequence[str] = ()
+) -> dict[str, dict[str, str]]:
     """By group and name, the presets that `all` leaves out in every scenario, with the reason."""
-    nodes = composed(_every_estimator(config_dir), config_dir)
+    nodes = composed(_every_estimator(config_dir), config_dir, plugins)
     found: dict[str, dict[str, str]] = {}
     for group in LISTS:
         known = {name: variant_of(words) for name, words in variants(group, config_dir).items()}
-        causal = {n: as_estimator(construct(one, n), n).causal for n, one in nodes[group].items()}
+        built = {n: construct(one, n, plugins) for n, one in nodes[group].items()}
+        causal = {name: as_estimator(one, name).causal for name, one in built.items()}
         found[group] = {n: SMOOTHER for n, one in causal.items() if not one} | known
     return found
 
@@ -178,7 +199,7 @@ def not_in_all(config_dir: str | None = None) -> dict[str, dict[str, str]]:
 def fitting_estimators(scenario: Scenario, noise: Noise) -> dict[str, list[str]]:
     """By group, the shipped filters and estimators that run in this scenario with this noise."""
     found: dict[str, list[str]] = {group: [] for group in LISTS}
-    for group, name in _that_fit(_shipped_estimators(), scenario, noise):
+    for group, name in _that_fit(_shipped_estimators(), noise, scenario):
         found[group].append(name)
     return found
 
@@ -198,7 +219,7 @@ def fitting_noises(scenario: Scenario, estimator: Estimator) -> list[str]:
 
 def fitting_scenarios(noise: Noise, estimator: Estimator) -> list[str]:
     """The shipped scenarios in which an estimator runs with this noise."""
-    return [name for name, place in _scenarios(None).items() if _fits(estimator, place, noise)]
+    return [name for name, place in _scenarios().items() if _fits(estimator, place, noise)]
 
 
 @cache
@@ -224,13 +245,13 @@ def composed(
 
 
 def _that_fit(
-    plain: Mapping[str, Any], scenario: Scenario, noise: Noise
+    plain: Mapping[str, Any], noise: Noise, scenario: Scenario, plugins: Sequence[str] = ()
 ) -> Iterator[tuple[str, str]]:
     """Group and name of each estimator of a config that fits."""
     for group in LISTS:
         for name, node in plain.get(group, {}).items():
             try:
-                estimator = as_estimator(construct(node, name), name)
+                estimator = as_estimator(construct(node, name, plugins), name)
             except BadValue:  # a model that is fitted to another kind of noise
                 continue
             if _fits(estimator, scenario, noise):

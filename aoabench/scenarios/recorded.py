@@ -230,8 +230,8 @@ class Recorded(LogParameters):
         if self.tags is not None:
             packets = packets.of_tags([str(tag) for tag in self.tags])
         if self.truth_file is not None:
-            declared = self.declared(dict(packets.table.stated))
-            source = read_truth("truth", self.truth_file, declared["time_unit"], anchors)
+            unit = self.declared(dict(packets.table.stated))["time_unit"]
+            source = read_truth("truth", self.truth_file, unit, anchors, packets.table.names)
             found, lines = source.at(packets, self.truth_gap_s, self.truth_offset_s)
             packets = replace(packets, truth=found)
             notes = [*notes, *source.table.notes, *lines]

@@ -62,8 +62,7 @@ def record_cell(
     if before.get("draws") != draws:
         before = {"experiment": before.get("experiment")}
     entries = dict(before.get("estimators", {}))
-    former = [e["reps"] for n, e in entries.items() if e["key"] == keys.get(n)]
-    hidden = max((r for r in former if r > max(reps.values())), default=0)
+    former = [entry["reps"] for n, entry in entries.items() if entry["key"] == keys.get(n)]
     for name, key in keys.items():
         known = {"timing": timing.get(key), "precision": precision.get(name)}
         known |= {} if cell.estimators[name].causal else {"causal": False}
@@ -88,7 +87,7 @@ def record_cell(
     }
     if entries and not (stored and _same(record, stored)):
         write_record(out, {**record, "provenance": provenance()})
-    return hidden
+    return max((shown for shown in former if shown > max(reps.values())), default=0)
 
 
 def _same(record: Mapping[str, Any], stored: Mapping[str, Any]) -> bool:

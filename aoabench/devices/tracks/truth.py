@@ -13,7 +13,7 @@ times without one are in the log's. Dates and times are in ISO 8601. The file ma
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,16 +150,22 @@ def _interpolated(time: Array, known: Array, position: Array, gap_s: float) -> A
 
 
 def read_truth(
-    key: str, path: str, time_unit: str, anchors: AnchorsFile, timed: bool = True
+    key: str,
+    path: str,
+    time_unit: str,
+    anchors: AnchorsFile,
+    named: Mapping[str, str] | None = None,
+    timed: bool = True,
 ) -> Truth:
     """Return the true positions of a file; raises BadValue for one that is not as in the schema.
 
     With `timed` false, a file may lack times and names: its positions are in the order of its rows.
-    Latitudes and longitudes are converted to local coordinates at the origin of `anchors`.
+    A column without a known name that has the log's, `named`, is read as that. Latitudes and
+    longitudes are converted to local coordinates at the origin of `anchors`.
     """
     present = header(key, path)
     degrees = degree_columns(present)
-    names, scale = _recognised(key, path, present, degrees, timed)
+    names, scale = _recognised(key, path, present, degrees, timed, named or {})
     table = Table.read(key, path, names)
     position = np.stack([
         scale[axis] * table.numbers(axis) if axis in names else np.full(len(table.frame), np.nan)
@@ -208,6 +214,7 @@ def _recognised(
     present: Sequence[str],
     degrees: tuple[str, str, str | None] | None,
     timed: bool,
+    named: Mapping[str, str],
 ) -> tuple[dict[str, str], dict[str, float]]:
     """The file's names of the columns to read, and the axes' units in m."""
     names: dict[str, str] = {}
@@ -220,6 +227,7 @@ def _recognised(
             continue
         units = tuple(METRES) if ours in "xyz" else tuple(SECONDS)
         fits = [one for one in present if _split(one, units)[0] in words]
+        fits = fits or [one for one in present if one == named.get(ours)]
         if len(fits) > 1:
             raise BadValue(key, path, f"{SCHEMA}; it has {shown_columns(fits)}: which is {ours}?")
         if fits:
@@ -228,9 +236,9 @@ def _recognised(
     known = any(one in names for one in ("time", "start", "fix", "sequence"))
     if "x" not in names or "y" not in names or (timed and not known):
         lacks = "x_m" if "x" not in names else "y_m" if "y" not in names else "time_s"
-        raise BadValue(
-            key, path, f"{SCHEMA}; it has {shown_columns(present)}{did_you_mean(lacks, present)}"
-        )
+        more = "; or with the log's names of these columns" if named else ""
+        near = did_you_mean(lacks, present)
+        raise BadValue(key, path, f"{SCHEMA}{more}; it has {shown_columns(present)}{near}")
     return names, scale
 
 

@@ -70,6 +70,15 @@ def check_groups(groups: int, by: str) -> None:
         )
 
 
+def _lines(text: str, letters: int) -> list[str]:
+    """A text in lines of at most so many letters; the last word of a clause, such as the 1 of
+    "seed 1;", stays with the word before it.
+    """
+    bound = re.sub(r" (?=\S+[;.](?: |$))", "\N{NO-BREAK SPACE}", text)
+    lines = textwrap.wrap(bound, letters)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
+
+
 def sheet(
     frame: pd.DataFrame, words: Words, height: float | None = None, groups: bool = True
 ) -> Sheet:
@@ -82,7 +91,7 @@ def sheet(
     rows = math.ceil(len(titles) / cols)
     above, beside, least = _room(names) if groups else (0.0, 0.0, 0.0)
     width = (plots.PAGE if cols > 1 else 1.5 * plots.COLUMN) + beside
-    footer = [t for text in words.footer for t in textwrap.wrap(text, int(_LETTERS * width))]
+    footer = [t for text in words.footer for t in _lines(text, int(_LETTERS * width))]
     inner = rows * ((height or (2.9 if cols == 1 else 2.2)) + 0.25)
     total = max(inner + 0.12 * len(footer) + 0.3, least) + above
     figure, axes = plots.new(width, total, rows, cols, squeeze=False, sharex=True, sharey=True)

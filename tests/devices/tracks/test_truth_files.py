@@ -9,7 +9,7 @@ import pytest
 
 from aoabench.config.compose import compose_cells
 from aoabench.errors import BadValue
-from aoabench.scenarios.recorded import Recorded
+from aoabench.scenarios.recorded import Columns, Recorded
 
 NAN = math.nan
 
@@ -221,3 +221,15 @@ def test_the_key_in_a_config_is_truth():
     ]
     with pytest.raises(BadValue, match=r"scenario\.truth='7' "):
         compose_cells([*words, "scenario.truth=7", "estimator=[anchor_mean]"])
+
+
+def test_columns_have_the_names_that_the_log_declares():
+    log = "Zeit,Geraet,anchor,azimuth_deg\n0,T1,a1,1\n1,T1,a1,1\n1,T2,a1,1\n"
+    declared = Columns(time="Zeit", tag="Geraet")
+    truth = "Zeit,Geraet,x_m,y_m\n0,T1,1,2\n1,T1,3,4\n1,T2,5,6\n"
+    s = read(truth, log=log, columns=declared)
+    np.testing.assert_allclose(s.truth(None)[:, :2], [[1, 2], [3, 4], [5, 6]])
+    again = read(truth.replace("Zeit,Geraet", "time_s,tag"), log=log, columns=declared)
+    np.testing.assert_array_equal(again.truth(None), s.truth(None))
+    with pytest.raises(BadValue, match="or with the log's names of these columns; it has Uhr, "):
+        read(truth.replace("Zeit", "Uhr"), log=log, columns=declared)

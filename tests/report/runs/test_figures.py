@@ -310,3 +310,12 @@ def test_limits_hold_negative_values():
     table = pd.DataFrame({"n": [3], "minimum": [-2.0], "q05": [-1.5], "q50": [0.0], "q95": [1.0], "maximum": [1.2]})  # fmt: skip
     assert not look.is_heavy(table)
     assert look.limits(table, log=False, whole=True) == pytest.approx((-2.0, 1.26))
+
+
+def test_a_line_of_the_foot_does_not_begin_with_the_end_of_a_clause():
+    text = "N = 20 replications (20,000 fixes) of each estimator; scenario bs_grid; seed 1."
+    for letters in range(20, 90):
+        lines = look._lines(text, letters)
+        assert " ".join(lines) == text
+        assert not {line.split()[0] for line in lines} & {"1.", "bs_grid;"}
+        assert max(map(len, lines)) <= letters
