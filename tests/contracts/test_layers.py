@@ -8,6 +8,7 @@ import io
 import subprocess
 import sys
 import tokenize
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,7 @@ FILES = sorted(
 NAMES = [file.relative_to(ROOT).as_posix() for file in FILES]
 
 
+@cache
 def tree_of(file):
     return ast.parse(file.read_text(encoding="utf-8"))
 
