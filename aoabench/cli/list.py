@@ -76,7 +76,7 @@ def list_presets(
     if config_dir and not Path(config_dir).is_dir():
         raise UserError(f"--config-dir={config_dir}: no such folder; allowed: an existing folder")
     if name and "=" in name:
-        name, words = None, (name, *words)
+        words, name = (name, *words), None
     plugins = _plugins(words)
     if fits is not None:
         if name is not None:
@@ -92,6 +92,8 @@ def list_presets(
 
 def _plugins(words: tuple[str, ...]) -> tuple[str, ...]:
     """The packages of plugins=[...]; UserError for other words."""
+    if not words:
+        return ()
     from aoabench.config.overrides import read
     from aoabench.config.plugins import parse_plugins
 

@@ -117,7 +117,7 @@ def those(batch: Batch, fixes: np.ndarray) -> Batch:
     return Batch(
         anchors=anchors(batch.anchors),
         known=None if batch.known is None else anchors(batch.known),
-        **{name: chosen(a) for name, a in given.items()},  # type: ignore[arg-type]
+        **{name: chosen(a) for name, a in given.items()},
     )
 
 
