@@ -98,22 +98,13 @@ def fitting(
     if scenario not in known:
         hint = did_you_mean(scenario, known) or f"; allowed: {', '.join(known)}"
         raise UserError(f"--fits={scenario}: unknown scenario{hint}")
+    plain = composed([f"scenario={scenario}"], config_dir, plugins)
+    place = as_scenario(construct(plain["scenario"], "scenario", plugins), "scenario")
     found: dict[str, dict[str, list[str]]] = {group: {} for group in LISTS}
     for noise in options("noise", config_dir):
-        for group, name in fitting_presets(scenario, noise, config_dir, plugins):
+        for group, name in _that_fit(*_with_noise(noise, config_dir, plugins), place, plugins):
             found[group].setdefault(name, []).append(noise)
     return found
-
-
-def fitting_presets(
-    scenario: str, noise: str, config_dir: str | None = None, plugins: Sequence[str] = ()
-) -> list[tuple[str, str]]:
-    """Group and name of the filters and estimators that run in a scenario with a noise."""
-    chosen = [f"scenario={scenario}", f"noise={noise}"]
-    plain = composed([*chosen, *_every_estimator(config_dir)], config_dir, plugins)
-    place = as_scenario(construct(plain["scenario"], "scenario", plugins), "scenario")
-    errors = as_noise(construct(plain["noise"], "noise", plugins), "noise")
-    return list(_that_fit(plain, place, errors, plugins))
 
 
 def fitting_places(
@@ -129,7 +120,7 @@ def fitting_places(
         except UserError:  # a preset of another package than `plugins`
             continue
         for scenario, place in places.items():
-            if (group, name) in _that_fit(plain, place, errors, plugins):
+            if (group, name) in _that_fit(plain, errors, place, plugins):
                 found.setdefault(scenario, []).append(noise)
     return found
 
@@ -138,10 +129,27 @@ def scenarios_of(
     noise: str, config_dir: str | None = None, plugins: Sequence[str] = ()
 ) -> list[str]:
     """The scenarios in which a filter or estimator runs with a noise."""
-    plain = composed([f"noise={noise}", *_every_estimator(config_dir)], config_dir, plugins)
-    errors = as_noise(construct(plain["noise"], "noise", plugins), "noise")
+    plain, errors = _with_noise(noise, config_dir, plugins)
     places = _scenarios(config_dir, plugins).items()
-    return [name for name, place in places if any(_that_fit(plain, place, errors, plugins))]
+    return [name for name, place in places if any(_that_fit(plain, errors, place, plugins))]
+
+
+def _with_noise(
+    noise: str, config_dir: str | None, plugins: Sequence[str]
+) -> tuple[Mapping[str, Any], Noise]:
+    """The config with a noise and all filters and estimators, which may be fitted to it; and the
+    noise.
+    """
+    if config_dir is None:
+        return _shipped_with_noise(noise)
+    plain = composed([f"noise={noise}", *_every_estimator(config_dir)], config_dir, plugins)
+    return plain, as_noise(construct(plain["noise"], "noise", plugins), "noise")
+
+
+@cache
+def _shipped_with_noise(noise: str) -> tuple[Mapping[str, Any], Noise]:
+    plain = composed([f"noise={noise}", *_every_estimator()])
+    return plain, as_noise(construct(plain["noise"], "noise"), "noise")
 
 
 def _scenarios(config_dir: str | None = None, plugins: Sequence[str] = ()) -> dict[str, Scenario]:
@@ -191,7 +199,7 @@ def not_in_all(
 def fitting_estimators(scenario: Scenario, noise: Noise) -> dict[str, list[str]]:
     """By group, the shipped filters and estimators that run in this scenario with this noise."""
     found: dict[str, list[str]] = {group: [] for group in LISTS}
-    for group, name in _that_fit(_shipped_estimators(), scenario, noise):
+    for group, name in _that_fit(_shipped_estimators(), noise, scenario):
         found[group].append(name)
     return found
 
@@ -237,7 +245,7 @@ def composed(
 
 
 def _that_fit(
-    plain: Mapping[str, Any], scenario: Scenario, noise: Noise, plugins: Sequence[str] = ()
+    plain: Mapping[str, Any], noise: Noise, scenario: Scenario, plugins: Sequence[str] = ()
 ) -> Iterator[tuple[str, str]]:
     """Group and name of each estimator of a config that fits."""
     for group in LISTS:

@@ -5,6 +5,7 @@ The beginning of the stream is read as a file: what it shows holds for the rest.
 
 from __future__ import annotations
 
+import codecs
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ import numpy as np
 
 from aoabench.deployment.mixing import joined, without_rows
 from aoabench.deployment.request import Asked, Request
-from aoabench.devices.readers.live import Live
+from aoabench.devices.readers.live import LineEnds, Live
 from aoabench.devices.readers.reading import Content, Rows
 from aoabench.devices.tracks.packets import Packets
 from aoabench.errors import BadValue, UserError
@@ -23,6 +24,13 @@ from aoabench.errors import BadValue, UserError
 BEGIN_S = 1.0  # s and bytes after which a mistake in the beginning is told: until then, more of
 BEGIN_BYTES = 2**16  # the log may mend it, such as further anchors
 LONGEST = 2**20  # bytes of a first line
+_NO_TEXT = {  # first bytes of what is read in a file alone
+    b"\x1f\x8b": "this is packed with gzip: `gzip -cd FILE | aoabench locate - ...`, or LOG=FILE",
+    b"PAR1": "Parquet is read in a file: LOG=FILE",
+    b"PK\x03\x04": "Excel is read in a file: LOG=FILE",
+    codecs.BOM_UTF16_LE: "this is UTF-16: `iconv -f UTF-16 -t UTF-8`, or LOG=FILE",
+    codecs.BOM_UTF16_BE: "this is UTF-16: `iconv -f UTF-16 -t UTF-8`, or LOG=FILE",
+}
 _TAGS, _COMBINE = "scenario.tags=", "scenario.combine="
 
 
@@ -43,6 +51,7 @@ class Reader:
         self.request, self.say = replace(request, settings=tuple(others)), say
         self._beginning, self._since = b"", np.inf
         self._live: Live | None = None
+        self._ends = LineEnds()
 
     def wait_s(self) -> float | None:
         """The time in s until the beginning is read again if nothing comes; None before it."""
@@ -55,6 +64,7 @@ class Reader:
         The beginning is kept until it shows how to read it, and until the stream has `ended`.
         Raises UserError as for a file.
         """
+        piece = self._ends.of(piece, ended)
         if self._live is None:
             self._beginning += piece
             if not self._begun(now, ended):
@@ -69,6 +79,9 @@ class Reader:
         """Whether the beginning shows what is asked for."""
         text = self._beginning
         whole = text if ended else text[: text.rfind(b"\n") + 1]
+        for start, words in _NO_TEXT.items():
+            if text.startswith(start):
+                raise BadValue("LOG", "-", f"a text; {words}")
         if len(text) > LONGEST and b"\n" not in text:
             raise BadValue("LOG", "-", f"a log; its first line is longer than {LONGEST} bytes")
         if not whole.strip():

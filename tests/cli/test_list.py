@@ -56,9 +56,9 @@ def test_a_preset_with_source_needs_and_an_example_that_runs(call):
     assert list(compose_cells(words[2:])[0].estimators) == ["wcg"]
     text = call("list", "wcg")[1]
     assert "needs: a noise that measures times of arrival" in text
-    assert json.loads(call("list", "vmf", "--json")[1])["offers"] == ["elevation", "stated_sigma"]
+    assert about.about("vmf").offers == ["elevation", "stated_sigma"]
     for name, why in (("map_smoother", "a smoother"), ("wcg_as_printed", "a variant of wcg")):
-        assert json.loads(call("list", name, "--json")[1])["not_in_all"].startswith(why)
+        assert about.about(name).not_in_all.startswith(why)
         assert (
             f"not in {'filter' if name == 'map_smoother' else 'estimator'}=all: {why}"
             in call("list", name)[1]

@@ -28,8 +28,13 @@ def cell_of(*words, **options):
 def test_all_are_those_that_fit_but_smoothers_and_variants(scenario, noise):
     cell = cell_of(*ALL, f"scenario={scenario}", f"noise={noise}")
     without = catalogue.not_in_all()
-    fitting = catalogue.fitting_presets(scenario, noise)
-    wanted = {f"{group}.{name}" for group, name in fitting if name not in without[group]}
+    fitting = catalogue.fitting(scenario)
+    wanted = {
+        f"{group}.{name}"
+        for group, names in fitting.items()
+        for name, noises in names.items()
+        if noise in noises and name not in without[group]
+    }
     ran = {f"{group}.{name}" for group in LISTS for name in cell.config[group] or {}}
     assert ran == wanted
     assert {key.partition(".")[2] for key in ran} == set(cell.estimators)

@@ -1,5 +1,6 @@
 """`locate` on a stream: the fixes of the file, whatever the pieces; when fixes close; bounds."""
 
+import gzip
 import os
 from contextlib import suppress
 from itertools import pairwise
@@ -280,6 +281,33 @@ def test_rows_may_be_cut_anywhere(room, log, rng, end):
     found = [f for a, b in pairwise(cuts) for f in run.table(text[a:b], 1e-5 * a)]
     found += run.table(b"", 10.0, ended=True)
     assert same(pd.concat(map(pd.DataFrame, found)), file.frame)
+
+
+@pytest.mark.parametrize("end", ["\r", "\r\n", "\r\r\n"])
+@pytest.mark.parametrize("size", [1, 5, 61, 10_000])
+def test_lines_of_a_stream_may_end_with_cr(room, end, size):
+    text = "".join(line.strip() + end for line in ublox(POINTS)).encode()
+    run, _ = run_of(room)
+    found = [f for k in range(0, len(text), size) for f in run.table(text[k : k + size], 1e-6 * k)]
+    found += run.table(b"", 10.0, ended=True)
+    fixes = pd.concat(map(pd.DataFrame, found)).astype({"fix": int}).sort_values("fix")
+    assert fixes["fix"].tolist() == [0, 1, 2, 3]
+    assert (fixes["anchors_used"] == 4).all()
+    np.testing.assert_allclose(fixes[["x_m", "y_m"]], POINTS[:, :2], rtol=0, atol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        (gzip.compress(b"a"), "gzip -cd"),
+        (b"PAR1", "Parquet"),
+        (b"PK\x03\x04", "Excel"),
+        ("a,b\n".encode("utf-16"), "iconv"),
+    ],
+)
+def test_what_is_read_in_a_file_alone_is_refused(room, start, words):
+    with pytest.raises(UserError, match=f"LOG='-' is not allowed.*{words}"):
+        list(run_of(room)[0].table(start + bytes(30), 1.0))
 
 
 def test_a_line_without_end_is_refused(room):

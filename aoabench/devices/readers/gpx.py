@@ -39,9 +39,8 @@ def from_gpx(text: bytes, path: str) -> Rows:
     columns = {"lat_deg": [p.get("lat") for p in points], "lon_deg": [p.get("lon") for p in points]}
     if any("time" in one for one in within):
         columns["time"] = [one.get("time") for one in within]
-    notes = ()
-    if any("ele" in one for one in within):
-        notes = (f"{path}: heights (ele) are not read, because they count from the sea",)
+    line = f"{path}: heights (ele) are not read, because they count from the sea"
+    notes = (line,) if any("ele" in one for one in within) else ()
     frame = pd.DataFrame(columns, dtype=object)
     return Rows(list(frame.columns), (Part(0, kind, 0),), notes, {}, frame)
 

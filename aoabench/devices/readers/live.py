@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import replace
 
 from aoabench.devices.readers.delimited import Delimited, following
@@ -15,6 +16,29 @@ from aoabench.devices.readers.wide import widened
 from aoabench.errors import BadValue
 
 _LONGEST = 1 << 24  # bytes without an end of a line
+_CR_ALONE = re.compile(rb"\r[^\r\n]")
+
+
+class LineEnds:
+    """LF in place of CR in a stream whose lines end with CR alone, until an LF comes."""
+
+    def __init__(self) -> None:
+        self._held, self._alone, self._known = b"", False, False
+
+    def of(self, piece: bytes, ended: bool = False) -> bytes:
+        """The piece with LF; a CR at its end waits for the next piece until it is known that no LF
+        follows a CR, or the stream has `ended`.
+        """
+        if self._known:
+            return piece
+        text, self._held = self._held + piece, b""
+        if b"\n" in text:
+            self._known = True
+            return text
+        self._alone |= _CR_ALONE.search(text) is not None
+        if text.endswith(b"\r") and not (self._alone or ended):
+            text, self._held = text[:-1], b"\r"
+        return text.replace(b"\r", b"\n")
 
 
 class Live:
