@@ -22,7 +22,7 @@ from aoabench.config.plugins import Speller, parse_plugins
 from aoabench.config.presets import LISTS
 from aoabench.errors import Mistakes, UserError, shorten
 
-_SILENT_S = 0.3  # seconds of composing without a line of progress
+_SILENT_S = 1.0  # seconds of composing without a line of progress
 _EVERY_S = 10.0  # seconds between further lines
 _MOST_MISTAKES = 20  # different ones, after which no further job is composed
 _MOST_JOBS = 200  # composed after the first mistake

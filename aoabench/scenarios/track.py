@@ -12,8 +12,9 @@ from aoabench import loaded
 from aoabench.devices.anchors import SCHEMA, AnchorsFile, read_anchors
 from aoabench.devices.geodesy import Origin
 from aoabench.devices.plans import plan
+from aoabench.devices.readers.columns import header
 from aoabench.devices.tracks.truth import Truth, read_truth
-from aoabench.errors import BadValue, check_array
+from aoabench.errors import BadValue, check_array, listed
 from aoabench.loaded import DataFile
 from aoabench.maths.geometry import Array
 from aoabench.models.motion import NAMED, motion_of
@@ -105,7 +106,11 @@ class Track(Scenario):
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines about the files, to print."""
-        return (*self._anchors.notes, *self._file.table.notes)
+        table = self._file.table
+        names = header("path", str(table.path))
+        left = [name for name in names if name and name not in table.names.values()]
+        unread = (f"{table.path}: columns that are not read: {listed(left)}",) if left else ()
+        return (*self._anchors.notes, *table.notes, *unread)
 
     @cached_property
     def true_anchors(self) -> Anchors:

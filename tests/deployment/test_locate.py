@@ -175,6 +175,27 @@ def test_a_plan_in_degrees_needs_an_origin(room, log):
         plans.plan(str(path), request.asked(), {"walls_csr": "wgs84"})
 
 
+@pytest.mark.parametrize(
+    ("scale", "shift", "words"),
+    [
+        (1000, 0, r"--plan=.*walls of the size of anchors; walls span 12000 m.*walls_unit=mm\?"),
+        (1, 6_671_000, r"--plan=.*walls in the coordinates of anchors; walls lie within x 6671000"),
+    ],
+)
+def test_a_plan_that_is_not_where_the_anchors_are(room, log, scale, shift, words):
+    corners = (scale * np.array([[0, 0], [12, 0], [12, 6]]) + shift).tolist()
+    path = room / "plan.geojson"
+    path.write_text(json.dumps({"type": "LineString", "coordinates": corners}))
+    asked = Request(str(log(rows_of(POINTS))), str(room / "anchors.csv")).asked()
+    with pytest.raises(UserError, match=words):
+        plans.plan(str(path), asked, {})
+    if scale > 1:
+        found = plans.plan(str(path), asked, {"walls_unit": "mm"})
+        assert np.ptp(found.walls[..., 0]) == 12
+    with pytest.raises(UserError, match=r"--plan='none\.dxf' .*an existing file"):
+        plans.plan("none.dxf", asked, {})
+
+
 def test_a_filter_needs_no_further_setting(room, log):
     rows = [row.split(",", 1) for row in rows_of(np.repeat(POINTS[:1], 9, axis=0))]
     path = log(

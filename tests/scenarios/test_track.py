@@ -1,6 +1,7 @@
 """A simulated track from a file of true positions."""
 
 from dataclasses import replace
+from pathlib import Path
 from pickle import dumps, loads
 
 import numpy as np
@@ -114,3 +115,16 @@ def test_its_files_belong_to_the_key_and_it_pickles():
 def test_the_file_of_a_missing_scenario_is_named():
     with pytest.raises(UserError, match=r"scenario\.anchors='no\.csv' is not allowed"):
         compose_cells(["scenario=track", "scenario.anchors=no.csv", "filter=[ekf_vmf]"])
+
+
+def test_columns_that_are_not_read_are_named(tmp_path, monkeypatch):
+    """A log in place of a track is a mistake that a run would not show."""
+    monkeypatch.chdir(tmp_path)
+    words = ["scenario=track", "estimator=[ls_lines]"]
+    Path("log.csv").write_text("fix,anchor,azimuth_deg,x_m,y_m\n1,a,46,2,2\n2,a,15,4,1\n")
+    (cell,) = compose_cells([*words, "scenario.path=log.csv"])
+    assert any(
+        n.endswith("log.csv: columns that are not read: anchor, azimuth_deg") for n in cell.notes
+    )
+    (cell,) = compose_cells(words)
+    assert not [line for line in cell.notes if "not read" in line]

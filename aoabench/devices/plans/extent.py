@@ -83,7 +83,7 @@ def check_walls(
     taken as given.
     """
     box, rest = Box.around(walls.points), Box.around(anchors.points, target.points)
-    names = f"{anchors.words} and {target.words}"
+    names = " and ".join(dict.fromkeys((anchors.words, target.words)))
     spans = f"walls span {box.span:.6g} m, {names} {rest.span:.6g} m"
     others = [] if unit == "m" else [one for one in GUESSED if one != (unit or "m")]
     for other in others:

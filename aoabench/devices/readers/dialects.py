@@ -58,6 +58,7 @@ def dialect_of(text: bytes, key: str, path: str, given: Reading) -> Dialect:
     if given.separator and len(names) < 2 <= len(cells_of(lines[start], likely)):
         allowed = f"the mark between the cells of {path}; separated by {likely!r}?"
         raise BadValue("separator", mark, allowed)
+    _check_title(start + 1, names, rows[1:])
     comments = not _hash_is_data(rows, names, mark)
     rows = [line for line in rows if not (comments and _COMMENT.match(line))]
     found = Dialect(mark, given.decimal or _decimal(rows, mark, text), (), start, comments)
@@ -117,6 +118,19 @@ def _past_comments(lines: Sequence[str], start: int) -> int:
     """The first line that is neither empty nor a comment, else `start`."""
     found = range(start, len(lines))
     return next((i for i in found if not is_void(lines[i]) and not _COMMENT.match(lines[i])), start)
+
+
+def _check_title(line: int, names: Sequence[str], rows: Sequence[str]) -> None:
+    """Raise ValueError if the line that should name the columns has one cell and the `rows` have
+    several.
+    """
+    mark = _separator(rows)
+    counts = [len(cells_of(row, mark)) for row in rows]
+    if len(names) == 1 and len(counts) > 1 and min(counts) == max(counts) > 1:
+        raise ValueError(
+            f"line {line} has one cell and the lines below have {counts[0]}: "
+            "lines above the names of columns begin with #"
+        )
 
 
 def _separator(rows: Sequence[str]) -> str:

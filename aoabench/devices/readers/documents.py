@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import zlib
 from io import BytesIO
 from typing import Any
+from xml.etree.ElementTree import ParseError
+from zipfile import BadZipFile
 
 from aoabench.devices.readers.reading import Part, Rows
 
@@ -62,16 +65,18 @@ def _nested(found: list[dict[str, Any]]) -> bool:
 def from_excel(content: bytes, path: str, header: tuple[str, ...] | None) -> Rows:
     """The first sheet of an Excel file, whose first row names the columns unless `header` does.
 
-    Raises ValueError without the library that reads it.
+    Raises ValueError without the library that reads it, and for a file that is no workbook.
     """
     import pandas as pd
 
     try:
         book = pd.ExcelFile(BytesIO(content), engine="openpyxl")
+        frame = pd.read_excel(book, sheet_name=0, header=None if header else 0)
     except ImportError:
         raise ValueError(_EXTRA) from None
+    except (BadZipFile, KeyError, EOFError, ParseError, zlib.error) as error:
+        raise ValueError(f"this is no whole Excel workbook: {error}") from None
     sheet, others = str(book.sheet_names[0]), len(book.sheet_names) - 1
-    frame = pd.read_excel(book, sheet_name=0, header=None if header else 0)
     if header and len(header) != len(frame.columns):
         raise ValueError(f"sheet {sheet!r} has {len(frame.columns)} columns, header {len(header)}")
     frame.columns = list(header or (str(name).strip() for name in frame.columns))

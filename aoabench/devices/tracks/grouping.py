@@ -30,6 +30,7 @@ _INCOMPARABLE = (
 )
 _FEWER = "a shorter scenario.window_s makes more, and scenario.columns.fix or sequence others"
 EVENT_S = 1.0  # s; packets of one number that are further apart belong to two fixes
+OVERFLOW = 2**15  # a larger gap between numbers is that of a counter of 16 bits or more
 ROUNDING_S = 1e-6  # s; times closer to a limit than this lie within it
 
 
@@ -71,6 +72,7 @@ def grouped(packets: Packets, window_s: float, windows: str) -> Groups:
         return _ordered(packets, _windowed(packets.tag, time, window_s, windows), time, True, notes)
     again = _occurrence(packets, time if complete else None)
     number = _ranks(packets.sequence)
+    notes += () if complete else _far_apart(packets)
     return _ordered(packets, again * (number.max() + 1) + number, time, complete, notes)
 
 
@@ -109,6 +111,24 @@ def _one_clock(packets: Packets, key: np.ndarray | None) -> tuple[Array, tuple[s
         f"{packets.table.path}: the anchors' clocks differ by up to {found.offset:.4g} s; their "
         "times are made comparable by the fixes or sequence numbers that anchors share",
     )
+
+
+def _far_apart(packets: Packets) -> tuple[str, ...]:
+    """A remark if sequence numbers of a tag, which order its fixes, have a gap as after an
+    overflow.
+    """
+    assert packets.sequence is not None
+    for tag in range(len(packets.tags)):
+        distinct = np.unique(packets.sequence[packets.tag == tag])
+        gap = int(np.argmax(np.diff(distinct))) if len(distinct) > 1 else 0
+        if len(distinct) > 1 and distinct[gap + 1] - distinct[gap] > OVERFLOW:
+            words = (
+                f"{packets.table.path}: no number is between {distinct[gap]} and "
+                f"{distinct[gap + 1]}, as after an overflow, and numbers alone order the fixes; a "
+                "column of times (scenario.columns.time) orders them better"
+            )
+            return (words,)
+    return ()
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:

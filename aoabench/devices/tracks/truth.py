@@ -184,6 +184,20 @@ def read_truth(
         if "tag" in names
         else None
     )
+    return _placed(table, position, tag, names, time_unit, timed)
+
+
+def _placed(
+    table: Table,
+    position: Array,
+    tag: np.ndarray | None,
+    names: Mapping[str, str],
+    time_unit: str,
+    timed: bool,
+) -> Truth:
+    """The true positions with the times, or the names of fixes or packets, of the rows of a table;
+    with `timed` false, with times alone, if it has them.
+    """
     kinds = ("start", "time", "fix", "sequence") if timed else ("start", "time")
     which = next((one for one in kinds if one in names), "")
     if not which:

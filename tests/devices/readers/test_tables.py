@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pandas as pd
@@ -124,6 +125,17 @@ def test_lines_may_end_with_cr_alone(rows, here):
     table = read()
     check(table, rows)
     assert table.at(0) == "line 2"
+
+
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_a_title_above_the_names_is_told(mark, rows, here):
+    title = "Measurement 3\n\n"
+    Path("log.csv").write_text(title + rows.to_csv(index=False, sep=mark))
+    words = "line 1 has one cell and the lines below have 4: lines above .* begin with #"
+    with pytest.raises(BadValue, match=words):
+        read()
+    Path("log.csv").write_text("# " + title + rows.to_csv(index=False, sep=mark))
+    check(read(), rows)
 
 
 def test_an_id_may_begin_like_a_comment(here):
@@ -304,6 +316,24 @@ def test_excel(rows, here):
     assert table.at(0) == "row 2"
     rows.to_excel("log.xlsx", header=False, index=False)
     check(read("log.xlsx", header=tuple(NAMES)), rows)
+
+
+def test_a_torn_workbook_and_another_archive_give_one_line(rows, here):
+    pytest.importorskip("openpyxl")
+    rows.to_excel("log.xlsx", index=False)
+    whole = Path("log.xlsx").read_bytes()
+    other = io.BytesIO()
+    with ZipFile(other, "w") as archive:
+        archive.writestr("log.csv", "a,b\n1,2\n")
+    broken = bytearray(whole)
+    with ZipFile("log.xlsx") as archive:
+        place = archive.getinfo("xl/worksheets/sheet1.xml").header_offset + 80
+    broken[place : place + 40] = bytes(40)
+    for content in (whole[: len(whole) // 2], other.getvalue(), bytes(broken)):
+        Path("log.xlsx").write_bytes(content)
+        with pytest.raises(BadValue, match="no whole Excel workbook") as error:
+            read("log.xlsx")
+        assert "\n" not in str(error.value)
 
 
 def test_without_openpyxl_the_extra_is_named(here, monkeypatch):

@@ -314,6 +314,23 @@ def test_what_is_no_identity(log):
 # --- sequence numbers and clocks ------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("numbers", "times", "said"),
+    [
+        ([65534, 65535, 0, 1], False, True),
+        ([7, 8, 9, 10], False, False),
+        ([65534, 65535, 0, 1], True, False),
+    ],
+)
+def test_numbers_that_overflow_without_times_are_said(numbers, times, said):
+    rows = [(n, f"a{b}", 10 * b, k) for k, n in enumerate(numbers) for b in (1, 2)]
+    log = pd.DataFrame(rows, columns=["sequence", "anchor", "azimuth_deg", "time_s"])
+    s = read((log if times else log.drop(columns="time_s")).to_csv(index=False))
+    words = "no number is between 1 and 65534, as after an overflow"
+    assert any(words in note for note in s.notes) == said
+    assert list(s.tracks.fix.astype(int)) == (numbers if times else sorted(numbers))
+
+
 def test_sequence_numbers_make_fixes_in_their_order():
     s = read("sequence,anchor,azimuth_deg\n10,a1,1\n9,a2,2\n10,a2,3\n9,a1,4\n")
     np.testing.assert_allclose(azimuths(s), [[4, 2, NAN], [1, 3, NAN]])
