@@ -32,16 +32,18 @@ def steps(out: Path, cell: str, estimator: str, count: int) -> Fixes:
 
 
 def _entry(out: Path, cell: str, estimator: str, count: int) -> dict[str, Any] | None:
-    """The entry of an estimator in the record of a cell, cut to the first `count` replications;
+    """The entry of an estimator in the record of a cell, for its first `count` replications;
     None if there is none. Raises RunError if the record is missing, torn or altered.
     """
     entries = read_record(out / "cells" / f"{cell}.json")["estimators"]
-    return _cut(entries[estimator], count) if estimator in entries else None
+    return _first(entries[estimator], count) if estimator in entries else None
 
 
-def _cut(known: Mapping[str, Any], count: int) -> dict[str, Any]:
-    """The entry of an estimator, cut to the first `count` replications."""
-    return {**known, "reps": min(known["reps"], count)}
+def _first(known: Mapping[str, Any], count: int) -> dict[str, Any]:
+    """The entry of an estimator for its first `count` replications, however many the last run that
+    recorded it asked for.
+    """
+    return {**known, "reps": count}
 
 
 def replications(out: Path, wanted: Mapping[str, Mapping[str, int]]) -> pd.DataFrame:
@@ -68,6 +70,6 @@ def _rows_of(out: Path, row: Mapping[str, Any], wanted: Mapping[str, int]) -> pa
         with_identity(part, row, name, full)
         for name, known in json.loads(row["estimators"]).items()
         if name in wanted
-        for part in noted_parts(out, _cut(known, wanted[name]), "rows")
+        for part in noted_parts(out, _first(known, wanted[name]), "rows")
     ]
     return pa.concat_tables(found)

@@ -9,7 +9,7 @@ import pytest
 from aoabench.errors import RunError, UserError
 from aoabench.store import fixes as fixes_module
 from aoabench.store import recorded, tables
-from aoabench.store.folder import values
+from aoabench.store.folder import read_record, values, write_record
 from tests.store import made
 
 
@@ -46,6 +46,16 @@ def test_fixes_are_those_of_the_tables(folder):
     assert np.array_equal(found.accepted, expected.accepted[:3])
     with pytest.raises(UserError, match="no fixes of 'absent'"):
         recorded.fixes(folder, "a", "absent", 3)
+
+
+def test_a_later_run_of_fewer_replications_changes_nothing(folder):
+    """As where two experiments share a cell: each reads as many replications as it asked for."""
+    record = read_record(folder / "cells" / "a.json")
+    record["estimators"]["ml"]["reps"] = 1
+    write_record(folder, {k: v for k, v in record.items() if k != "format"})
+    assert read_record(folder / "cells" / "a.json")["estimators"]["ml"]["reps"] == 1
+    assert len(recorded.fixes(folder, "a", "ml", 3).outcome) == 3
+    assert len(recorded.replications(folder, {"a": {"ml": 4}})) == 4
 
 
 def test_an_array_of_fixes_is_read_once_and_alone(folder, monkeypatch):
