@@ -105,7 +105,7 @@ class InFolder:
         return cls(config.CACHE_DIR)
 
     def ensure_cache_path(self) -> None:
-        """Create the folder if somebody deleted it."""
+        """Create the folder if it is missing."""
         Path(self.folder).mkdir(parents=True, exist_ok=True)
 
     def get_cache_path(self) -> str:

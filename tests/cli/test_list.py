@@ -155,3 +155,27 @@ def test_the_example_of_a_cluster_names_its_scheduler(call):
     for name in ("dask", "slurm"):
         assert f"runner={name} runner.address=tcp://HOST:PORT" in call("list", name)[1]
     assert "runner.address" not in call("list", "local")[1].partition("example:")[2].split("\n")[0]
+
+
+def test_presets_of_ones_own_fit_too(call, tmp_path, monkeypatch):
+    """With `plugins`, before or behind a name, and a package that is not named is passed over."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for role, name in (("noise", "listed_noise"), ("estimator", "listed_estimator")):
+        assert call("new", role, name)[0] == 0
+    own = ("--config-dir", "conf", "plugins=[listed_noise,listed_estimator]")
+    found = json.loads(call("list", "--fits", "bs_grid", "--json", *own)[1])["fits"]
+    assert "listed_noise" in found["estimator"]["ls"]
+    assert found["estimator"]["listed_estimator"] == found["estimator"]["ls"]
+    fits = json.loads(call("list", "listed_estimator", "--json", *own)[1])["fits"]
+    assert fits["bs_grid"] == found["estimator"]["ls"]
+    some = ("--config-dir", "conf", "plugins=[listed_estimator]")
+    fits = json.loads(call("list", "listed_estimator", "--json", *some)[1])["fits"]
+    assert fits["bs_grid"] == [n for n in found["estimator"]["ls"] if n != "listed_noise"]
+
+
+def test_words_other_than_plugins_are_refused(call):
+    for words in (("noise=vmf",), ("ls", "reps=2")):
+        status, out, err = call("list", *words)
+        assert (status, out) == (2, "")
+        assert f"{words[-1]}: not allowed here" in err
